@@ -27,6 +27,8 @@ ENV PATH=/opt/canskin/bin:$PATH \
 USER skin
 # The whole chain compiles its kernels, for the processor of this machine, and trains the default skin's classifier.
 RUN skin demo --seconds 1 --no-view --picture /tmp/demo.png && rm /tmp/demo.png
+# A service that makes no progress for 10 s ends itself, and its container is started again (docs/containers.md).
+ENV WATCHDOG_USEC=10000000
 # A new volume begins with what the image has there; a container without any volume gets one of its own.
 VOLUME /var/cache/canskin
 # Layouts, calibrations and models are named relative to the folder that is mounted here.

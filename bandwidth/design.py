@@ -130,7 +130,7 @@ def _tell(found: Search, layout: Layout, chosen: Candidate) -> None:
 
 def _taxels(text: str) -> int | Taxels:
     """Return a number of taxels, or the taxels themselves."""
-    if text.isdecimal():
+    if text.removeprefix("-").isdecimal():
         return int(text)
     try:
         tables, told = tables_of(text)

@@ -3,13 +3,15 @@
 import re
 import select
 import time
-from collections.abc import Callable, Iterator
+import zlib
+from collections.abc import Callable, Generator, Iterable, Iterator
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Final, Protocol, cast
 
 import can
 import numpy as np
+from can.io import blf
 from can.io.generic import MessageReader, TextIOMessageReader
 from can.io.player import MESSAGE_READERS
 
@@ -21,6 +23,7 @@ from dbc.frame import Frames, frames
 from dbc.stored_frames import from_bytes
 from recording import is_recording
 from skin.layout import Layout
+from skin.limits import TEXT_BYTES_MAX
 
 #: Largest time stamp, seconds since the epoch: in 2261, a year before nanoseconds end that 64 bits hold.
 _LATEST_S: Final = 9.2e9
@@ -31,12 +34,19 @@ _ERROR_FLAG: Final = 0x20000000
 _LOGGED: Final = re.compile(r"\s*\(\d+(\.\d+)?\)\s+\S+\s+[0-9A-Fa-f]{3,8}#")
 #: A line that candump prints on a terminal: length in brackets, then data.
 _PRINTED: Final = re.compile(r"\s*(\(\S+( \S+)?\)\s+)?\S+\s+([TR]X\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
+#: Longest line of a log.
+_LINE_MAX: Final = 2**14
+#: A log has at most a frame for two of its bytes, or this many: more only of a file that unpacks to thousands of times
+#: its size.
+_FRAMES_MAX: Final = 2**16
+#: An object of BLF without a length, at which python-can would stay for ever.
+_ENDLESS: Final = re.compile(rb"LOBJ....[\x00-\x0f]\0\0\0", re.DOTALL)
 #: Period of the check whether to end a live measurement.
 _TURN_S: Final = 0.2
 
 
 class _TextFile(Protocol):
-    def __next__(self) -> str: ...
+    def readline(self, size: int) -> str: ...
     def close(self) -> None: ...
 
 
@@ -66,9 +76,12 @@ class _Lines:
 
     def __next__(self) -> str:
         try:
-            line = next(self._file)
+            line = self._file.readline(_LINE_MAX)
         except EOFError:  # a compressed file that was cut
             line = "cut"
+        if len(line) == _LINE_MAX:
+            self.number += 1
+            raise ValueError(f"more than {_LINE_MAX} characters")
         if not line.endswith("\n"):
             self.is_cut = not re.match(r"\s*(//|End\b|$)", line, re.IGNORECASE)
             raise StopIteration
@@ -80,6 +93,32 @@ class _Lines:
 
     def close(self) -> None:
         self._file.close()
+
+
+class _Blf(can.BLFReader):
+    """Reads as python-can does, and holds no more than `TEXT_BYTES_MAX` of unpacked bytes at once."""
+
+    def __iter__(self) -> Generator[can.Message]:
+        while head := self.file.read(blf.OBJ_HEADER_BASE_STRUCT.size):
+            signature, _, _, size, kind = blf.OBJ_HEADER_BASE_STRUCT.unpack(head)
+            if signature != b"LOBJ" or not len(head) <= size <= TEXT_BYTES_MAX:
+                raise ValueError(f"a container of {size} bytes")
+            content = self.file.read(size - len(head))
+            self.file.read(size % 4)
+            if kind == blf.LOG_CONTAINER:
+                yield from self._parse_container(self._unpacked(content))
+        self.stop()
+
+    def _unpacked(self, content: bytes) -> bytes:
+        method, _ = blf.LOG_CONTAINER_STRUCT.unpack_from(content)
+        data, most = content[blf.LOG_CONTAINER_STRUCT.size :], TEXT_BYTES_MAX - len(self._tail)
+        if method == blf.ZLIB_DEFLATE:
+            data = zlib.decompressobj().decompress(data, most)
+        if len(data) >= most:
+            raise ValueError(f"expected at most {TEXT_BYTES_MAX} bytes unpacked, got more")
+        if _ENDLESS.search(self._tail + data):
+            raise ValueError("an object of no length")
+        return data
 
 
 def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
@@ -107,7 +146,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
             if isinstance(reader, TextIOMessageReader):
                 cast("TextIOWrapper", reader.file).reconfigure(encoding="utf-8", errors="replace")
                 lines = reader.file = _Lines(reader.file)  # type: ignore[assignment]
-            for message in reader:
+            for message in _limited(reader, max(_FRAMES_MAX, path.stat().st_size // 2)):
                 if lines is not None and lines.is_error:
                     message.is_error_frame, message.is_extended_id = True, False
                 _check(message)
@@ -127,14 +166,26 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     return {channel: to_logged_frames(messages) for channel, messages in of_channel.items()}
 
 
+def _limited(messages: Iterable[can.Message], most: int) -> Iterator[can.Message]:
+    for number, message in enumerate(messages):
+        if number == most:
+            raise ValueError(f"expected at most {most} frames in a file of this size, got more")
+        yield message
+
+
 def _reader(path: Path) -> MessageReader:
     """Return the reader of a log: by its suffix, or where no format has this suffix, that of candump by the content."""
     if path.suffix.lower() not in {*MESSAGE_READERS, ".gz"}:
         with path.open(encoding="utf-8", errors="replace") as file:
-            first = next((line for line in file if line.strip()), "")
+            first = next((line for line in iter(lambda: file.readline(_LINE_MAX), "") if line.strip()), "")
         if _LOGGED.match(first) or _PRINTED.match(first):
             return can.CanutilsLogReader(path)
-    return can.LogReader(path)
+    if path.suffix.lower() == ".blf":
+        return _Blf(path)
+    reader = can.LogReader(path)
+    if path.suffix.lower() == ".gz" and not isinstance(reader, TextIOMessageReader):
+        raise ValueError("expected lines in a .gz")
+    return reader
 
 
 def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:

@@ -36,8 +36,8 @@ def choose_timing(clock_hz: int, rates_hz: list[int]) -> BitTiming | BitTimingFd
     """Choose the bit timing for one bit rate, or for those of the arbitration and the data phase of CAN FD.
 
     Of all timings within the ranges that ISO 11898-1 asks of every controller, the timing with the smallest error of
-    the bit rates is chosen, then the timing nearest to the recommended sample points, then the shortest quantum. None
-    if the clock cannot make the rates.
+    the bit rates is chosen, then the timing nearest to the recommended sample points, then the timing whose prescalers
+    differ least, then the shortest quanta. None if the clock cannot make the rates.
     """
     wanted = [value for rate_hz in rates_hz for value in (rate_hz, 100 * sample_point(rate_hz))]
     kind = BitTiming if len(rates_hz) == 1 else BitTimingFd

@@ -7,6 +7,7 @@ from bus.faults import parse_fault
 from bus.options import virtual_bit_rates
 from bus.server import BusServer, BusSettings
 from canskin.errors import InputError
+from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.terminal import Json, print_json
 from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX, load_layout
@@ -88,6 +89,6 @@ def bus(
     with BusServer(names, settings) as server:
         request_real_time("bus")
         say("bus", f"ready: {', '.join(names)} at {bitrate} bit/s")
-        server.serve(stop.is_set)
+        server.serve(Pulse(stop).is_set)
         if json_:
             print_json({name: one.counts for name, one in server.buses.items()})

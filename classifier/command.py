@@ -13,6 +13,7 @@ from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
 from classifier.modelfile import load_model, save_model
 from classifier.used_sums import classified_phi
 from shell.output import check_output_path, write_file
+from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from shell.terminal import Json, print_json, print_table, progress
@@ -55,6 +56,7 @@ def classify(
     from classifier.service import make_service
 
     stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
@@ -68,12 +70,12 @@ def classify(
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
-    fabric = of.join(skin, "classifier", stop)
+    fabric = pulse.fabric = of.join(skin, "classifier", pulse)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     try:
         service = make_service(Classifier(trained, classified), skin, fabric)
         request_real_time("classifier", fabric.tell_scheduling)
-        service.run(stop)
+        service.run(stop, pulse.beat)
     finally:
         fabric.close()
 

@@ -12,6 +12,7 @@ from classifier.decide import Classifier
 from classifier.newest_sums import FORGET_CYCLES
 from classifier.settling import Decision
 from classifier.used_sums import classified_phi, coarse_sums
+from shell.pulse import Beat, unheard
 from shell.service import StopSignal
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, SteppedSums, decode_measurement, decode_stepped
@@ -96,9 +97,10 @@ class ClassifierService(_Service):
         self._reader = MeasurementReader(phi, "classifier", decode_measurement)
         self._keeps_time = keeps_time
 
-    def run(self, stop: StopSignal) -> None:
+    def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
         """Label measurements until `stop` is set."""
         while not stop.is_set():
+            beat(self.labelled)
             measurement = self._measurements.get(_TURN_S)
             if measurement is None:
                 continue
@@ -137,7 +139,7 @@ class SteppedClassifierService(_Service):
         self._cycle = self._repeated = 0
         self._due_ns: int | None = None
 
-    def run(self, stop: StopSignal) -> None:
+    def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
         """Label the newest sums until `stop` is set."""
         due_s = time.monotonic()
         while not stop.is_set():
@@ -145,6 +147,7 @@ class SteppedClassifierService(_Service):
             # swallowed are left out.
             due_s = max(due_s + PERIOD_S, time.monotonic() - FORGET_CYCLES * PERIOD_S)
             time.sleep(max(0.0, due_s - time.monotonic()))
+            beat(self.labelled)
             label = self.label(self._measurements.get(0.0))
             if label is not None:
                 self._fabric.publish(LABEL, label)

@@ -17,7 +17,7 @@ from commissioning.node_check import LISTEN_PERIODS, LISTEN_S
 from commissioning.wiring_findings import MOMENTS
 from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand, is_of_node
-from dbc.configuration import DIALOGUES, SAMPLED_S
+from dbc.configuration import DIALOGUES
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.frame import Frames, one_frame, received
 from gateway.sdo import Dialogue, Read, SdoDialogue
@@ -26,6 +26,8 @@ from skin.sync_counter import next_counter
 
 #: Rounds without touch that are needed to know the noise.
 LEAST_REST: Final = 10
+#: Shortest time between a SYNC and the first request for what was sampled: that of a board to read its taxels.
+SAMPLED_S: Final = 0.002
 
 
 class CountReading:

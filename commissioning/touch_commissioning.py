@@ -15,6 +15,7 @@ import numpy as np
 from bus.link import Send
 from canskin.errors import LayoutError
 from commissioning.board_steps import Board, Commissioning
+from commissioning.count_reading import SAMPLED_S
 from commissioning.lss_steps import (
     RESET_S,
     SELECTED_S,
@@ -40,7 +41,6 @@ from dbc.canopen import (
     Lss,
     NmtCommand,
 )
-from dbc.configuration import SAMPLED_S
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.dictionary import REVISION
 from dbc.lss import lss_request

@@ -46,8 +46,6 @@ TICK_S: Final = 0.01
 READ_S: Final = 0.001
 #: Shortest time between PRE-OPERATIONAL and NMT start of all nodes: a slave may keep the newest command only.
 QUIET_S: Final = 0.01
-#: Shortest time between a SYNC and the first request for what was sampled: that of a board to read its taxels.
-SAMPLED_S: Final = 0.002
 #: A block is not valid after this number of rounds without answer of its node.
 PROOF_ROUNDS: Final = 2
 

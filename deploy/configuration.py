@@ -101,7 +101,8 @@ ExecStart={venv}/bin/skin hub $SKIN_hub
 """
 
 RECORD: Final = """\
-# Every start makes a new recording.
+# Every start makes a new recording; a slow disk is no reason for one.
+WatchdogSec=2min
 ExecStart=
 ExecStart=/bin/sh -c 'exec {venv}/bin/skin record --layout "$$SKIN_LAYOUT" $$SKIN_record \\
   --out "$$STATE_DIRECTORY/$$(date +%%Y%%m%%dT%%H%%M%%S).mcap"'

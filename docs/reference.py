@@ -11,6 +11,7 @@ from canskin.question import Question
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.indices import BLOCK_STRIDE
+from health.causes import Cause
 from shell.command import VERBS, docstring, summary
 from skin.layout import load_layout
 
@@ -43,6 +44,8 @@ def reference() -> str:
         *_table("Topics of the fabric", ("topic", "message", "content"), topics),
         "\nQuestions that a service answers:\n",
         *_rows(("question", "request, reply", "what is asked"), questions),
+        *_table("Causes", ("code", "level", "what is seen", "what to do"), _causes()),
+        "\nThe page, `skin doctor`, ROS 2, logs and metrics name what is wrong by these codes (`health/causes.py`).",
         *_table("Objects of a node", ("object", "name"), _objects()),
         f"\nObjects of each further block are {BLOCK_STRIDE:X}h higher. `skin node objects` lists types and access.",
         "Meanings: `docs/bus.md`, `docs/steps.md`.",
@@ -52,6 +55,11 @@ def reference() -> str:
 
 def _about(kind: type) -> str:
     return summary(inspect.getdoc(kind) or "")
+
+
+def _causes() -> Iterator[tuple[str, ...]]:
+    for each in Cause:
+        yield f"`{each.code}`", each.level, each.sees, each.mend.format(subject="it")
 
 
 def _objects() -> Iterator[tuple[str, str]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from canskin.errors import InputError
 from shell.output import write_file
+from touch.objects import CATALOGUE, made_of
 from touch.trajectory import ACQUISITION_OBJECTS
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ class Options:
     """What every evaluation is asked: the options of ``skin evaluate``.
 
     Without `out` nothing is kept; without `draws` each subject has its own number. `objects` slide in place of the
-    paper's five.
+    paper's five. `meshes` has a mesh of each object that the paper takes from meshes.
     """
 
     quick: bool = False
@@ -36,9 +37,10 @@ class Options:
     objects: tuple[str, ...] = tuple(ACQUISITION_OBJECTS)
 
     def __post_init__(self) -> None:
-        for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):
-            if folder is not None and not folder.is_dir():
-                raise InputError(f"no folder '{folder}': expected a folder of {what}")
+        if self.recordings is not None and not self.recordings.is_dir():
+            raise InputError(f"no folder '{self.recordings}': expected a folder of recordings")
+        for name in CATALOGUE if self.meshes is not None else ():
+            made_of(name, self.meshes)
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError(f"'{self.out}' is a file: expected a folder for the results")
         numbers = {"jobs": (self.jobs, 1), "draws": (self.draws, 1), "seed": (self.seed, 0)}

@@ -6,14 +6,17 @@ from contextlib import closing
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.util import find_spec
+from operator import methodcaller
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from joblib import Memory
+import joblib
+import msgspec
 from threadpoolctl import threadpool_limits
 
-from canskin.errors import InputError
+from canskin.errors import UNDECODABLE, InputError
 from evaluation.result import Options, Row
+from shell.output import write_file
 from shell.parallel import in_parallel
 from shell.service import say
 from shell.terminal import progress
@@ -48,24 +51,32 @@ def measure_cells(
     cells : sequence of dict
         Its keyword arguments.
     options : Options
-        `jobs` processes work on one thread each. With `out`, joblib keeps each result in ``out/results`` as soon as
-        the result is known, and no cell is measured again while the code and the libraries are the same.
+        `jobs` processes work on one thread each. With `out`, each result is kept in ``out/results`` as soon as it
+        is known, and no cell is measured again while the code and the libraries are the same.
     what : str
         Said when the work begins, and shown beside the progress bar, on a terminal.
     jobs : int, optional
         In place of the options', for cells whose times are measured.
+
+    Returns
+    -------
+    list of dict
+        With lists in place of tuples and arrays, as a file keeps them.
     """
-    known = _remembering(measure, options.out)
-    missing = [place for place, cell in enumerate(cells) if not (options.out and known.check_call_in_cache(**cell))]
+    folder = _folder(options.out) if options.out else None
+    paths = [
+        folder / f"{measure.__name__}-{joblib.hash((measure.__module__, each))}" if folder else None for each in cells
+    ]
+    found = {place: row for place, path in enumerate(paths) if path and (row := _kept(path)) is not None}
+    missing = [place for place in range(len(cells)) if place not in found]
     say("evaluate", f"{what}, {len(missing)} of {len(cells)} cells to measure")
-    measured: dict[int, Row] = {}
-    with progress(what, len(cells), done=len(cells) - len(missing)) as bar:
-        calls = [partial(_on_one_thread, known, cells[place]) for place in missing]
+    with progress(what, len(cells), done=len(found)) as bar:
+        calls = [partial(_measured, measure, cells[place], paths[place]) for place in missing]
         with closing(in_parallel(calls, jobs or options.jobs)) as work:
-            for number, result in work:
-                measured[missing[number]] = result
+            for number, row in work:
+                found[missing[number]] = row
                 bar.advance()
-    return [measured[place] if place in measured else known(**cell) for place, cell in enumerate(cells)]
+    return [found[place] for place in range(len(cells))]
 
 
 def measured_rows(measure: Callable[..., Row], cells: Sequence[Row], options: Options, what: str) -> list[Row]:
@@ -73,21 +84,32 @@ def measured_rows(measure: Callable[..., Row], cells: Sequence[Row], options: Op
     return [cell | found for cell, found in zip(cells, measure_cells(measure, cells, options, what), strict=True)]
 
 
-def _on_one_thread(known: Callable[..., Row], cell: Row) -> Row:
+def _measured(measure: Callable[..., Row], cell: Row, path: Path | None) -> Row:
+    """Return ``measure(**cell)``, measured on one thread, and keep it at `path`."""
     with threadpool_limits(1):
-        return known(**cell)
+        row = measure(**cell)
+    content = msgspec.msgpack.encode(row, enc_hook=methodcaller("tolist"))  # of NumPy
+    if path:
+        write_file(path, content)
+    return msgspec.msgpack.decode(content, type=Row)
 
 
-def _remembering(measure: Callable[..., Row], folder: Path | None) -> Any:
-    """Return `measure` with a memory in a folder; results of other code lie in another."""
-    if folder is None:
-        return measure
-    place = folder / "results" / code_digest()
+def _kept(path: Path) -> Row | None:
+    """Return the row that `path` keeps; None if there is none that can be read."""
+    try:
+        return msgspec.msgpack.decode(path.read_bytes(), type=Row)
+    except (OSError, *UNDECODABLE):
+        return None
+
+
+def _folder(out: Path) -> Path:
+    """Return the folder of what this code finds; results of other code lie in another."""
+    place = out / "results" / code_digest()
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"'{place}' cannot be made: {error}; give another --out") from error
-    return Memory(place, verbose=0).cache(measure)
+    return place
 
 
 @cache

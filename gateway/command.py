@@ -13,6 +13,7 @@ from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.stepped_gathering import publishing_rates
+from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import Insecure, check_listen, join
 from skin.calibration_file import load_calibration
@@ -70,6 +71,7 @@ def gateway(
     skin gateway --keep-zero /var/lib/canskin/palm.json
     """
     stop = StopSignal().install()
+    pulse = Pulse(stop)
     if connect is None:
         check_listen(listen, "gateway", insecure=insecure)
     skin = load_layout(layout)
@@ -90,13 +92,15 @@ def gateway(
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     answers = ThreadPoolExecutor(1, "calibration")
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
-    fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=stop)
+    fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=pulse)
+    pulse.fabric = fabric
     for question in (CALIBRATION, ZERO):
         fabric.answer(question, calibrates.ask)
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
         with closing_links(links):
-            GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz).run(stop)
+            service = GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz)
+            service.run(stop, pulse.beat)
     finally:
         calibrates.keep_zero()
         answers.shutdown()

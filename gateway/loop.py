@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from bus.link import Link, Send, State
-from canskin.messages import BusState, GatewayStatus, Measurement
+from canskin.messages import BusState, GatewayStatus, Measurement, NodeEmergency
 from dbc.contract import Contract, NodeContract, sync_frame
+from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import Frames
 from dbc.lss import anybody_without_node_id, has_answer
 from dbc.time_of_day import time_frame
@@ -21,6 +22,7 @@ from gateway.link_watch import LinkWatch
 from gateway.load import LoadMeter
 from gateway.nmt_master import NmtMaster
 from gateway.outgoing import Outgoing
+from gateway.sdo import TIMEOUT_S
 from gateway.stepped_gathering import RATES_HZ, SteppedGathering
 from gateway.sync_clock import LATEST, SyncClock
 from skin.ranges import ranges_text
@@ -33,6 +35,8 @@ BOOT_PATIENCE_S: Final = 3.0
 SETTLE_S: Final = 0.1
 #: Longest time in which a board without node-ID answers: LSS has the lowest priority.
 UNNUMBERED_S: Final = 1.0
+#: SYNC of somebody else is told for this time.
+OTHER_SYNC_S: Final = 10.0
 #: The load of one bus is added up after a measurement, at most this often.
 ACCOUNT_PERIOD_S: Final = 0.05
 
@@ -53,6 +57,8 @@ class _Bus:
     health: Health = field(default_factory=Health)
     #: SYNCs of somebody else since the last look at the nodes.
     other_syncs: int = 0
+    #: When the last of them came.
+    other_sync_s: float = -np.inf
     #: Until when boards without node-ID may answer that they are there.
     asked_until_s: float = -np.inf
 
@@ -254,6 +260,8 @@ class GatewayLoop:
             sync_rate_hz=self.sync.rate_hz(now_s),
             buses=[self._bus_state(number, *links[number], now_s) for number in self._numbers],
             syncs_skipped=self.sync.skipped,
+            heartbeat_limit_s=SILENT_AFTER_S,
+            answer_limit_s=TIMEOUT_S,
         )
 
     def report_links(self, links: Mapping[int, Link], now_s: float) -> None:
@@ -279,7 +287,11 @@ class GatewayLoop:
         self.sync.start(now_s + SETTLE_S)
         for bus in self._buses.values():
             bus.load.restart(now_s + SETTLE_S)
-            absent = bus.master.awaited
+            awaited = bus.master.awaited
+            optional = [each for each in awaited if bus.master.nodes[each].contract.is_optional]
+            absent = [each for each in awaited if each not in optional]
+            if optional:
+                self._say(f"{bus.name}: starts without optional nodes {ranges_text(optional)}")
             if absent:
                 self._say(f"{bus.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
                 bus.send(anybody_without_node_id())
@@ -295,12 +307,13 @@ class GatewayLoop:
             bus.master.emergencies.clear()
             strangers = bus.master.strangers
             if bus.other_syncs:
-                bus.other_syncs = 0
+                bus.other_syncs, bus.other_sync_s = 0, now_s
                 self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}; {strangers.words}")
                 strangers.find_producers(now_s)
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]
+        nodes, wall_s = bus.master.nodes.values(), time.time() - now_s
         missing, late = zip(*(self.gathering.missing_and_late(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
@@ -315,4 +328,13 @@ class GatewayLoop:
             link=max(state, bus.watch.state).name.lower(),
             trouble=bus.watch.trouble,
             overrun=dropped,
+            faults=bus.master.faults,
+            answer_s=[node.answer_s.of(now_s) for node in nodes],
+            heartbeat_s=[node.heartbeat_s.of(now_s) for node in nodes],
+            emergencies=[
+                NodeEmergency(node.contract.node_id, code, round(1e9 * (wall_s + at_s)))
+                for node in nodes
+                for code, at_s in node.emergencies
+            ],
+            other_sync=bus.master.strangers.words if now_s - bus.other_sync_s < OTHER_SYNC_S else "",
         )

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import NodeFault
 from dbc.canopen import (
     EMCY_BASE,
     EMCY_BYTES,
@@ -101,8 +102,8 @@ class NmtMaster:
 
     @property
     def passed(self) -> bool:
-        """Whether every node's first dialogue has ended, with or without an answer."""
-        return all(node.asked for node in self.nodes.values())
+        """Whether the first dialogue of every node that is not optional has ended, with or without an answer."""
+        return all(node.asked or node.contract.is_optional for node in self.nodes.values())
 
     @property
     def is_quiet(self) -> bool:
@@ -123,6 +124,11 @@ class NmtMaster:
     def refused(self) -> list[int]:
         """Node-IDs that answer, but whose sums must not be used."""
         return [node_id for node_id, node in self.nodes.items() if node.state in REFUSED]
+
+    @property
+    def faults(self) -> dict[int, NodeFault]:
+        """Why the sums of nodes are not used, by node-ID."""
+        return {node_id: fault for node_id, node in self.nodes.items() if (fault := node.fault) is not None}
 
     @property
     def awaited(self) -> list[int]:

@@ -5,6 +5,7 @@ used in the states `IN_USE` and `IN_USE_CHECKED`. The NMT state of CiA 301, whic
 `NodeMachine.nmt`. Time and frames are arguments; no function waits.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, auto
@@ -12,7 +13,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from canskin.messages import SILENT
+from canskin.messages import SILENT, Fault, NodeFault
 from dbc.canopen import COMMANDED, NMT_COB_ID, NmtCommand, NmtState, state_text
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
@@ -21,6 +22,7 @@ from gateway.foreign_sdo import GAINS, Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
 from gateway.proof import Known, Proof, prove
 from gateway.sdo import ATTEMPTS, Dialogue, SdoDialogue
+from gateway.spread import Spread
 
 #: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`.
 PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0)
@@ -29,6 +31,8 @@ LATER_S: Final = 60.0
 STABLE_S: Final = 10.0
 #: On the bus, a heartbeat with the old state may come this much later than the NMT start.
 UNDER_WAY_NS: Final = 300_000_000
+#: Emergencies of a node that are kept.
+HISTORY: Final = 8
 #: An emergency at most this long before a node left is logged as the reason.
 EXPLAINS_S: Final = 2.0
 
@@ -69,6 +73,20 @@ class Event(Enum):
     OUTDATED = auto()  #: The newest proof is too old.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
+
+
+#: What the loss of a node that was in use is called outside.
+_FAULTS: Final = {
+    Event.BOOTED: Fault.BOOTED,
+    Event.LEFT: Fault.LEFT,
+    Event.LOST: Fault.SILENT,
+    Event.OUTDATED: Fault.UNPROVEN,
+    Event.WRITTEN: Fault.CHANGED,
+    Event.DIFFERENT: Fault.CHANGED,
+}
+_STARTING: Final = NodeFault(Fault.STARTING)
+#: A node that was asked in vain this often, and sends heartbeats, does not answer.
+_IN_VAIN: Final = 2
 
 
 @dataclass
@@ -146,6 +164,14 @@ class NodeMachine:
         The reason that the log gives for the next boot.
     lost_s : float or None
         When the node's sums were given up; None while they are used, or before their first use.
+    loss : NodeFault
+        Why they were given up.
+    is_other_device : bool
+        The newest proof has found another identity.
+    emergencies : deque of (int, float)
+        Its newest error codes, and when they came.
+    answer_s, heartbeat_s : Spread
+        Times of answers, and between heartbeats.
     """
 
     bus: BusOfNodes
@@ -174,6 +200,24 @@ class NodeMachine:
     asked: bool = False
     lost_s: float | None = None
     hint: str = ""
+    loss: NodeFault = _STARTING
+    is_other_device: bool = False
+    emergencies: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    answer_s: Spread = field(default_factory=Spread)
+    heartbeat_s: Spread = field(default_factory=Spread)
+
+    @property
+    def fault(self) -> NodeFault | None:
+        """Why the node's sums are not used; None if they are."""
+        if self.in_use:
+            return None
+        if self.refusal:
+            return NodeFault(Fault.OTHER_DEVICE if self.is_other_device else Fault.REFUSED, self.refusal)
+        if self.nmt == SILENT and self.heard_s == -np.inf:
+            return NodeFault(Fault.AWAY if self.contract.is_optional else Fault.ABSENT)
+        if self.nmt != SILENT and self.tries >= _IN_VAIN and self.loss.kind in {Fault.STARTING, Fault.SILENT}:
+            return NodeFault(Fault.UNANSWERED, f"{self.tries} proofs begun in vain")
+        return self.loss
 
     @property
     def in_use(self) -> bool:
@@ -190,6 +234,8 @@ class NodeMachine:
     def take_heartbeat(self, state: int, time_ns: int, now_s: float) -> None:
         """Use a heartbeat, or a boot-up message."""
         was_silent = self.nmt == SILENT
+        if not was_silent and self.heard_s > -np.inf:
+            self.heartbeat_s.add(now_s - self.heard_s, now_s)
         self.heard_s = now_s
         if state == NmtState.INITIALISING:
             self._booted(now_s)
@@ -221,6 +267,7 @@ class NodeMachine:
     def take_emergency(self, code: int, now_s: float) -> None:
         """Use an emergency; code 0: no error is left."""
         self.emcy = code
+        self.emergencies.append((code, now_s))
         self.emcy_s = now_s if code else -np.inf
         if code:
             self.bus.emergencies.append((self.contract.node_id, code))
@@ -231,6 +278,8 @@ class NodeMachine:
             if (asking := self.dialogue or self.errand) is not None:
                 asking.ask_again(data, now_s)
             return False
+        if (asking := self.dialogue or self.errand) is not None:
+            self.answer_s.add(now_s - asking.requested_s, now_s)
         if self.dialogue is not None:
             self.dialogue.take(data, now_s)
             self._finish(now_s)
@@ -320,7 +369,7 @@ class NodeMachine:
         if not isinstance(proof, Proof):
             self._happen(Event.UNANSWERED, now_s)
             return
-        self.cost = proof.cost
+        self.cost, self.is_other_device = proof.cost, proof.is_other_device
         if proof.written:
             self._log(f"set right: {proof.written}", now_s)
         if proof.refusal:
@@ -340,6 +389,9 @@ class NodeMachine:
         if found is None:
             return
         act, self.state = found
+        if act is NodeMachine._stop_using:
+            is_away = self.contract.is_optional and event is Event.LOST
+            self.loss = NodeFault(Fault.AWAY if is_away else _FAULTS[event], why)
         if self.state not in _CHECKED:
             self.dialogue = None
         if self.state not in REFUSED:
@@ -374,7 +426,7 @@ class NodeMachine:
         self.bus.use(self.contract, False)
         if self.lost_s is None:
             self.lost_s = now_s
-        self._log(why, now_s)
+        self._log(f"{why} [{self.loss.code}]", now_s)
         self._pause(now_s, why)
 
     def _prove(self, now_s: float, _why: str) -> None:
@@ -402,7 +454,8 @@ class NodeMachine:
     def _refuse(self, now_s: float, why: str) -> None:
         """Tell why; try again later."""
         if why != self.refusal:
-            self._log(f"refused: {why}", now_s)
+            kind = Fault.OTHER_DEVICE if self.is_other_device else Fault.REFUSED
+            self._log(f"refused: {why} [{NodeFault(kind).code}]", now_s)
         self.refusal, self.prove_at_s = why, now_s + LATER_S
 
     def _halt(self, _now_s: float, _why: str) -> None:

@@ -170,6 +170,11 @@ class SdoDialogue:
         self.due_s = self._limit_s = float("inf")
         self._go_on(lambda: next(steps), now_s)
 
+    @property
+    def requested_s(self) -> float:
+        """When the newest request was sent."""
+        return self._limit_s - self._timeout_s
+
     def tick(self, now_s: float) -> None:
         """Repeat the transfer when its answer is overdue, and go on with a download when there is room."""
         if self._waiting and now_s < self._limit_s:

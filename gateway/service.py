@@ -17,6 +17,7 @@ from gateway.loop import GatewayLoop
 from gateway.sdo import TIMEOUT_S
 from gateway.stepped_gathering import RATES_HZ
 from shell.clock import wall_offset
+from shell.pulse import Beat, unheard
 from shell.service import RateLimitedLog, StopSignal, request_real_time, say
 
 STATUS_PERIOD_S: Final = 0.2
@@ -70,11 +71,18 @@ class GatewayService:
         self._status_at_s = 0.0
         self._wall_offset_ns = wall_offset().ns
 
-    def run(self, stop: StopSignal) -> None:
-        """Boot the nodes, then serve until `stop`; open cycles are finished before the return."""
+    def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
+        """Boot the nodes, then serve until `stop`; open cycles are finished before the return.
+
+        While SYNC runs, turns without measurements are no progress.
+        """
         request_real_time("gateway", self._fabric.tell_scheduling)
+        made = 0
         while not stop.is_set():
             self.turn()
+            if self.loop.gathering.published > made or not self.loop.sync.runs:
+                made = self.loop.gathering.published
+                beat(made)
         self.loop.sync.stop()
         while self.loop.in_flight:
             self.turn()
@@ -90,7 +98,12 @@ class GatewayService:
         states = {number: (link.state, link.dropped) for number, link in self._links.items()}
         status = self.loop.status(states, self._clock())
         if self._calibration is not None:
-            status = msgspec.structs.replace(status, calibration=self._calibration.status())
+            frozen = map(self._calibration.frozen_on, sorted(self._links))
+            buses = [
+                msgspec.structs.replace(bus, faults=faults | bus.faults)
+                for bus, faults in zip(status.buses, frozen, strict=True)
+            ]
+            status = msgspec.structs.replace(status, calibration=self._calibration.status(), buses=buses)
         self._fabric.publish(GATEWAY, status)
 
     def turn(self) -> None:

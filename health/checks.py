@@ -1,6 +1,7 @@
 """Checks that a decoded message fits the skin shown: sizes and ranges."""
 
 import math
+from itertools import chain
 
 import msgspec
 import numpy as np
@@ -49,9 +50,11 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
         case Label():
             return 0.0 <= message.confidence <= 1.0 and _moment_fits(message)
         case GatewayStatus():
-            loads = (load for bus in message.buses for load in (bus.load_ratio, bus.mean_load_ratio))
+            numbers = [message.sync_rate_hz, message.heartbeat_limit_s, message.answer_limit_s]
+            for bus in message.buses:
+                numbers += [bus.load_ratio, bus.mean_load_ratio, *chain(*bus.answer_s, *bus.heartbeat_s)]
             has_states = all(len(bus.nmt) == len(bus.nodes) for bus in message.buses)
-            return has_states and all(map(math.isfinite, (message.sync_rate_hz, *loads)))
+            return has_states and all(map(math.isfinite, numbers))
     return not isinstance(message, Mark) or is_label(message.label)
 
 

@@ -1,10 +1,11 @@
-"""Since when a node is not whole, and why, from the gateway's counters."""
+"""Since when a node or the gateway's host is not whole, and why, from the gateway's counters."""
 
 from collections import defaultdict
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
-from canskin.messages import SILENT, BusState, GatewayStatus, NmtState
+from canskin.messages import SILENT, BusState, Fault, GatewayStatus, NmtState, NodeFault
+from health.causes import Cause
 from health.snapshot import DEAD_LINKS, NodeTrouble
 
 #: Names of the NMT states on the page (CiA 301, 7.2.8.3.2).
@@ -15,28 +16,109 @@ NMT_WORDS: Final[dict[int, str]] = {
     NmtState.PRE_OPERATIONAL: "pre-operational",
     SILENT: "silent",
 }
-REFUSED: Final = "refused by the gateway: not of this skin"
 #: A node loses frames until none has been missing for this time, that of `health.state.SPAN_S`.
 LOSS_S: Final = 1.0
 #: Emergencies from this code on are of the device (CiA 301, 7.2.7.1): that it missed its window once, whose end no node
 #: tells. They explain frames that are missing now, and are no trouble without.
 DEVICE_EMCY: Final = 0xFF00
+#: A node is late whose answers or heartbeats take this part of the time that they have.
+LATE_RATIO: Final = 0.9
+#: By why the gateway does not use a node: words for several nodes.
+_FAULTS: Final = {
+    Fault.ABSENT: "never heard",
+    Fault.AWAY: "optional, not there",
+    Fault.SILENT: "silent",
+    Fault.OTHER_DEVICE: "refused by the gateway: another device",
+    Fault.REFUSED: "refused by the gateway: not of this skin",
+    Fault.UNANSWERED: "without answer to SDO requests",
+    Fault.LEFT: "no longer operational",
+    Fault.BOOTED: "booted again",
+    Fault.CHANGED: "doubted",
+    Fault.UNPROVEN: "not proven for too long",
+    Fault.STARTING: "not proven yet",
+    Fault.FROZEN: "frozen",
+}
+#: Of these nodes the NMT state tells more.
+_BY_STATE: Final = (Fault.LEFT, Fault.BOOTED, Fault.STARTING)
+#: By state of the gateway's controller.
+_LINKS: Final = {"lost": Cause.INTERFACE_LOST, "bus_off": Cause.BUS_OFF, "passive": Cause.ERROR_PASSIVE}
 
 
-def word_of(bus: BusState, node: int, nmt: int) -> str:
-    """Return why a node sends no sums; empty for an operational one."""
-    if node in bus.refused and nmt != SILENT:
-        return REFUSED
-    return "" if nmt == NmtState.OPERATIONAL else NMT_WORDS.get(nmt, "")
+class Trouble(NamedTuple):
+    """Why a node is not whole: the cause, words that several nodes share, and what was seen of this node."""
+
+    cause: Cause
+    word: str
+    evidence: str = ""
+
+    def of_node(self, node: int, since_time_s: float) -> NodeTrouble:
+        """Return this trouble as that of a node."""
+        return NodeTrouble(node, since_time_s, self.evidence or self.word, self.cause.code, self.word)
 
 
-class NodeTroubles:
-    """Notes when each node got its trouble. Times are those of the caller's clock."""
+def _trouble(status: GatewayStatus, bus: BusState, place: int, *, loses: bool) -> Trouble | None:
+    """Return what is wrong with the node at a place of a bus, the gravest alone; None if all is well."""
+    if bus.link in DEAD_LINKS:
+        return Trouble(_LINKS[bus.link], "its bus is down")
+    node, nmt = bus.nodes[place], bus.nmt[place]
+    code = bus.emcy[place] if place < len(bus.emcy) else 0
+    emergency = f"EMCY {code:04X}h" if code else ""
+    if (fault := _fault(bus, node, nmt)) is not None:
+        return trouble_of(fault, nmt, emergency)
+    if 0 < code < DEVICE_EMCY:
+        return Trouble(Cause.NODE_EMERGENCY, emergency)
+    if late := _late(status, bus, place):
+        return Trouble(Cause.NODE_LATE, "late", late)
+    words = "frames with sums are missing"
+    return Trouble(Cause.NODE_LOSES, words, ", ".join(filter(None, (words, emergency)))) if loses else None
+
+
+def trouble_of(fault: NodeFault, nmt: int, emergency: str = "") -> Trouble:
+    """Return what is wrong with a node of this NMT state whose sums cannot be used."""
+    word = _FAULTS[fault.kind]
+    if fault.kind in _BY_STATE and nmt != NmtState.OPERATIONAL:
+        word = NMT_WORDS.get(nmt, word)
+    return Trouble(Cause.of(fault.code), word, ", ".join(filter(None, (fault.words or word, emergency))))
+
+
+def _fault(bus: BusState, node: int, nmt: int) -> NodeFault | None:
+    """Return why a node is not used; what gateways of before do not tell is concluded from its NMT state."""
+    if bus.faults:
+        return bus.faults.get(node)
+    if nmt == SILENT:
+        return NodeFault(Fault.SILENT)
+    if node in bus.refused:
+        return NodeFault(Fault.REFUSED)
+    return None if nmt == NmtState.OPERATIONAL else NodeFault(Fault.STARTING)
+
+
+def _late(status: GatewayStatus, bus: BusState, place: int) -> str:
+    """Tell how late a node answers, empty if it is in time."""
+    for name, spreads, limit_s in (
+        ("answers to SDO requests", bus.answer_s, status.answer_limit_s),
+        ("heartbeats", bus.heartbeat_s, status.heartbeat_limit_s),
+    ):
+        least_s, longest_s = spreads[place] if place < len(spreads) else (0.0, 0.0)
+        if limit_s and longest_s > LATE_RATIO * limit_s:
+            return f"{name} after {1e3 * least_s:.0f} ms to {1e3 * longest_s:.0f} ms"
+    return ""
+
+
+def link_cause(bus: BusState) -> Cause | None:
+    """Return what is wrong with the gateway's link to a bus; None if nothing is."""
+    if bus.link in _LINKS:
+        return _LINKS[bus.link]
+    return Cause.SYNC_REFUSED if bus.trouble else None
+
+
+class Troubles:
+    """Notes when each node, and the gateway's host, got its trouble. Times are those of the caller's clock."""
 
     def __init__(self) -> None:
-        self._troubles: dict[str, dict[int, tuple[str, float]]] = {}
+        self._troubles: dict[str, dict[int, tuple[Trouble, float]]] = {}
         #: Of each bus and node: frames missing so far, and when the last of them was.
         self._missing: dict[tuple[str, int], tuple[int, float]] = {}
+        self._late: tuple[str, float] | None = None
 
     def take(self, status: GatewayStatus, now_s: float) -> None:
         """Take the next counters."""
@@ -44,24 +126,32 @@ class NodeTroubles:
         missed, self._missing = self._missing, {}
         for bus in status.buses:
             known = before.get(bus.name, {})
-            emergencies = dict(zip(bus.nodes, bus.emcy, strict=False))
             missing = dict(zip(bus.nodes, bus.missing, strict=False))
-            for node, nmt in zip(bus.nodes, bus.nmt, strict=True):
+            for place, node in enumerate(bus.nodes):
                 loses = self._loses(missed, (bus.name, node), missing.get(node, 0), now_s)
-                why = "its bus is down" if bus.link in DEAD_LINKS else word_of(bus, node, nmt)
-                if not why and loses:
-                    why = "frames with sums are missing"
-                code = emergencies.get(node, 0)
-                if code and (why or code < DEVICE_EMCY):
-                    why = f"{why}, EMCY {code:04X}h" if why else f"EMCY {code:04X}h"
-                if why:
-                    word, since_s = known.get(node, ("", now_s))
-                    self._troubles[bus.name][node] = why, since_s if word == why else now_s
+                trouble = _trouble(status, bus, place, loses=loses)
+                if trouble is not None:
+                    old, since_s = known.get(node, (trouble, now_s))
+                    self._troubles[bus.name][node] = trouble, since_s if old[:2] == trouble[:2] else now_s
+
+        words = ", ".join(
+            f"{count} {name}"
+            for name, count in (
+                ("SYNCs not sent", status.syncs_skipped),
+                ("frames lost in its receive buffers", sum(bus.overrun for bus in status.buses)),
+            )
+            if self._loses(missed, (name, 0), count, now_s)
+        )
+        self._late = (words, self._late[1] if self._late else now_s) if words else None
+
+    def late(self, epoch_s: float) -> tuple[str, float | None]:
+        """Return what the gateway's host has left out lately, and since when."""
+        return ("", None) if self._late is None else (self._late[0], epoch_s + self._late[1])
 
     def of(self, epoch_s: float) -> dict[str, list[NodeTrouble]]:
         """Return the troubles by bus; `epoch_s` is the wall-clock time of 0."""
         return {
-            bus: [NodeTrouble(node, epoch_s + since_s, why) for node, (why, since_s) in nodes.items()]
+            bus: [trouble.of_node(node, epoch_s + since_s) for node, (trouble, since_s) in nodes.items()]
             for bus, nodes in self._troubles.items()
         }
 

@@ -1,16 +1,25 @@
 """Notices for the user, made from the snapshot alone: what stopped, when, and which service is the cause."""
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import msgspec
 
 from canskin.calibration_messages import CalibrationState
-from health.nodes_why import NMT_WORDS, REFUSED, word_of
-from health.snapshot import BusView, Notice, Service, Snapshot
+from health.causes import GRAVE, WARNING, Cause
+from health.nodes_why import link_cause
+from health.snapshot import BusView, NodeTrouble, Notice, Service, Snapshot
 
 #: Most node-IDs named in one notice, where tiles show the others, and most defects and contacts in doubt.
 NAMED: Final = 8
+#: A gateway that has run for longer is no longer starting, s.
+STARTED_S: Final = 30.0
+#: Above this load a bus is full: the rest of the time is between frames.
+FULL_RATIO: Final = 0.97
+#: So many nodes at an end of a bus that fall silent within this time are a broken cable.
+BROKEN_AT_LEAST: Final = 2
+TOGETHER_S: Final = 2.0
 
 
 def display_name(service: str) -> str:
@@ -22,7 +31,7 @@ def notices(state: Snapshot, own: str, *, is_grid: bool) -> Snapshot:
     """Return `state` with its notices, errors first; `own` is the name of the service that shows the skin."""
     if state.cut_off:  # the state of the other services is then unknown
         text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
-        found = [_error(text, state.services[own].since_time_s)]
+        found = [Cause.HUB_AWAY.notice(text, "hub", state.services[own].since_time_s)]
     else:
         found = [
             *_gateway(state, own),
@@ -34,84 +43,107 @@ def notices(state: Snapshot, own: str, *, is_grid: bool) -> Snapshot:
         ]
         found += [*_calibration(state), *_doubts(state, is_grid=is_grid), *_thresholds(state)]
     found += _ignored(state)
-    grave = ("error", "warning", "info")
-    return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
+    return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: GRAVE.index(notice.level)))
 
 
 def _gateway(state: Snapshot, own: str) -> Iterator[Notice]:
     token, status = state.services.get("gateway"), state.gateway
     if token is not None and not token.alive:
-        yield _error("measurements stopped: gateway is gone", token.since_time_s)
+        yield Cause.GATEWAY_GONE.notice("measurements stopped: gateway is gone", "gateway", token.since_time_s)
     elif status is not None and status.stale:
-        yield _error("the state of the buses is unknown: gateway sends no status", state.time_s - status.age_s)
+        text = "the state of the buses is unknown: gateway sends no status"
+        yield Cause.GATEWAY_SILENT.notice(text, "gateway", state.time_s - status.age_s)
     elif status is None:
-        yield Notice(level="info", text="waiting for the gateway")
+        yield Cause.GATEWAY_ABSENT.notice("waiting for the gateway", "gateway")
         if token is None and state.other_skins:
             others = ", ".join(f"'{name}'" for name in state.other_skins)
             shown = f"{display_name(own)} shows skin '{state.skin}'"
-            text = f"{shown}, and on its hub is {others}: give both the same --layout"
-            yield Notice(level="warning", text=text)
+            yield Cause.OTHER_SKIN.notice(f"{shown}, and on its hub is {others}: give both the same --layout")
     elif status.cycles == 0:
-        yield Notice(level="info", text="gateway is booting the nodes; SYNC has not started")
+        yield Cause.STARTING.notice("gateway is booting the nodes; SYNC has not started", "gateway")
 
 
 def _misfits(state: Snapshot) -> Iterator[Notice]:
-    """Name services with another Φ or another version."""
-    for service in state.services.values():
+    """Name services with another Φ or another version, and those that lose messages."""
+    for name, service in state.services.items():
+        if service.alive and service.loses_since_time_s is not None:
+            text = f"{name} is too slow: {service.lost} messages are lost so far"
+            yield Cause.SERVICE_DROPS.notice(text, name, service.loses_since_time_s)
         if service.alive and service.difference:
-            yield _error(service.difference, service.since_time_s)
+            yield Cause.SERVICE_DIFFERS.notice(service.difference, name, service.since_time_s)
 
 
 def _images(state: Snapshot) -> Iterator[Notice]:
     token, image = state.services.get("reconstructor"), state.image
-    if image is None:
-        if token is not None and not token.alive:
-            yield _error("no images: reconstructor is gone", token.since_time_s)
-        else:
-            yield Notice(level="info", text="waiting for the first image")
-    elif image.stale:
-        yield _error(f"images stopped: {_why(state, token)}", state.time_s - image.age_s)
+    if image is not None and image.stale:
+        cause, why = _why(state, token)
+        yield cause.notice(f"images stopped: {why}", "reconstructor", state.time_s - image.age_s)
+    elif image is None and token is not None and not token.alive:
+        yield Cause.SERVICE_GONE.notice("no images: reconstructor is gone", "reconstructor", token.since_time_s)
+    elif image is None and token is not None and token.silent:
+        yield Cause.SERVICE_SILENT.notice("no images: reconstructor is there but sends none", "reconstructor")
+    elif image is None:
+        status = state.gateway
+        is_starting = status is None or status.cycles < STARTED_S * status.sync_rate_hz
+        yield Cause.NO_IMAGE.notice(
+            "waiting for the first image", "reconstructor", level="" if is_starting else WARNING
+        )
 
 
-def _why(state: Snapshot, token: Service | None) -> str:
+def _why(state: Snapshot, token: Service | None) -> tuple[Cause, str]:
     """Name the service because of which no images come; without any token, as in recordings, no service is known."""
     if not state.services:
-        return "no more came"
+        return Cause.SERVICE_SILENT, "no more came"
     if token is None or not token.alive:
-        return "reconstructor is gone"
+        return Cause.SERVICE_GONE, "reconstructor is gone"
     gateway = state.services.get("gateway")
     if gateway is None or not gateway.alive:
-        return "no measurements without the gateway"
-    return "reconstructor is there but sends none"
+        return Cause.GATEWAY_GONE, "no measurements without the gateway"
+    return Cause.SERVICE_SILENT, "reconstructor is there but sends none"
 
 
 def _labels(state: Snapshot) -> Iterator[Notice]:
     token, label = state.services.get("classifier"), state.label
     if token is not None and not token.alive:
-        yield Notice(level="error", text="labels stopped: classifier is gone", since_time_s=token.since_time_s)
+        yield Cause.SERVICE_GONE.notice("labels stopped: classifier is gone", "classifier", token.since_time_s)
     elif label is not None and label.stale and _measures(state):
-        since_time_s = state.time_s - label.age_s
+        is_there = not state.services or token is not None
+        cause = Cause.SERVICE_SILENT if is_there else Cause.SERVICE_GONE
         why = "classifier is there but sends none" if token else "classifier is gone"
-        yield _error(f"labels stopped: {why if state.services else 'no more came'}", since_time_s)
+        text = f"labels stopped: {why if state.services else 'no more came'}"
+        yield cause.notice(text, "classifier", state.time_s - label.age_s)
 
 
 def _nodes(state: Snapshot) -> Iterator[Notice]:
     for name, token in state.services.items():
         if (name == "nodes" or name.startswith("nodes-")) and not token.alive:
-            yield _error(f"no sums from the virtual {name}: the process is gone", token.since_time_s)
+            text = f"no sums from the virtual {name}: the process is gone"
+            yield Cause.SERVICE_GONE.notice(text, name, token.since_time_s)
 
 
 def _buses(state: Snapshot) -> Iterator[Notice]:
     if state.gateway is None or state.gateway.stale:
         return
-    troubles = {bus.trouble: bus for bus in state.gateway.buses if bus.trouble}
-    for text, bus in troubles.items():
-        names = [each.name for each in state.gateway.buses if each.trouble == text]
-        named = f"{'buses' if len(names) > 1 else 'bus'} {', '.join(names)} {text}"
-        yield Notice(level=bus.level, text=named)
+    yield from notices_of(state.gateway.buses)
     if state.image is not None and not state.image.stale and state.image.valid_sums == 0:
-        yield Notice(level="error", text="nothing is measured: no block sent its sums")
-    for bus in state.gateway.buses:
+        yield Cause.NOTHING_MEASURED.notice("nothing is measured: no block sent its sums")
+    if state.gateway.late_since_time_s is not None:
+        text = f"the gateway's host is late: {state.gateway.late}"
+        yield Cause.HOST_LATE.notice(text, "gateway", state.gateway.late_since_time_s)
+
+
+def notices_of(buses: Sequence[BusView]) -> Iterator[Notice]:
+    """Return what is wrong with buses and their nodes."""
+    for text, bus in {bus.trouble: bus for bus in buses if bus.trouble}.items():
+        names = [each.name for each in buses if each.trouble == text]
+        named = ", ".join(names)
+        cause = link_cause(bus) or Cause.SYNC_REFUSED
+        yield cause.notice(f"{'buses' if len(names) > 1 else 'bus'} {named} {text}", named, level=bus.level)
+    for bus in buses:
+        if bus.other_sync:
+            yield Cause.OTHER_SYNC.notice(f"{bus.name}: another SYNC producer: {bus.other_sync}", bus.name)
+        if bus.load_ratio > FULL_RATIO and not bus.dead:
+            yield Cause.BUS_FULL.notice(f"{bus.name}: the bus is full, {100 * bus.load_ratio:.0f} %", bus.name)
         if not bus.dead:
             yield from _off_duty(bus)
 
@@ -123,17 +155,16 @@ def _calibration(state: Snapshot) -> Iterator[Notice]:
     calibration = state.gateway.calibration
     if calibration.state is CalibrationState.TOUCHED:
         text = "the zero of the skin is not measured: something has touched the skin since the start"
-        yield Notice(level="info", text=text)
+        yield Cause.NO_ZERO.notice(text)
     if calibration.recalibrated:
         named, more = calibration.recalibrated[:NAMED], len(calibration.recalibrated) - NAMED
         nodes = ", ".join(named) + (f" and {more} more" if more > 0 else "")
         text = f"gains or offsets of {nodes} have changed: forces there are doubtful until that is accepted (skin tare)"
-        yield Notice(level="warning", text=text, kind="recalibrated")
+        yield Cause.GAINS_CHANGED.notice(text)
     for text in calibration.defects[:NAMED]:
-        yield Notice(level="warning", text=text)
+        yield Cause.DEFECT.notice(text, text)
     if len(calibration.defects) > NAMED:
-        text = f"{len(calibration.defects) - NAMED} more defects: skin calibration show"
-        yield Notice(level="warning", text=text, kind="more defects")
+        yield Cause.DEFECT.notice(f"{len(calibration.defects) - NAMED} more defects: skin calibration show", "more")
 
 
 def _doubts(state: Snapshot, *, is_grid: bool) -> Iterator[Notice]:
@@ -150,10 +181,9 @@ def _doubts(state: Snapshot, *, is_grid: bool) -> Iterator[Notice]:
         region = f" --region {each.top},{each.left},{each.bottom},{each.right}" if is_grid else ""
         why = "a still weight, or an error of the zero, as of a warm patch; if nothing touches there"
         text = f"{force} has been in doubt for {lasts_s:.0f} s: {why}: skin tare{region}"
-        yield Notice(level="warning", text=text, kind=f"doubtful contact {each.identity}")
+        yield Cause.DOUBTFUL_FORCE.notice(text, f"contact {each.identity}")
     if len(doubtful) > NAMED:
-        text = f"{len(doubtful) - NAMED} more contacts are in doubt"
-        yield Notice(level="warning", text=text, kind="more doubtful contacts")
+        yield Cause.DOUBTFUL_FORCE.notice(f"{len(doubtful) - NAMED} more contacts are in doubt", "more contacts")
 
 
 def _thresholds(state: Snapshot) -> Iterator[Notice]:
@@ -161,41 +191,50 @@ def _thresholds(state: Snapshot) -> Iterator[Notice]:
     for each in state.patches:
         if each.is_over and each.peak_n is not None:
             text = f"up to {each.peak_n:.3g} N on {each.name}: more than its threshold of {each.threshold_n:g} N"
-            yield Notice(
-                level="warning", text=text, since_time_s=each.over_since_time_s, kind=f"threshold of {each.name}"
-            )
+            yield Cause.THRESHOLD.notice(text, each.name, each.over_since_time_s)
 
 
 def _off_duty(bus: BusView) -> Iterator[Notice]:
-    """Name the nodes of a bus that do not measure, one notice for each reason."""
-    for word, nodes in _nodes_of_word(bus).items():
-        if nodes and len(nodes) == len(bus.nodes):
-            yield Notice(level=bus.level, text=f"{bus.name}: all {len(nodes)} nodes {word}")
-        elif nodes:
-            named = ", ".join(map(str, nodes[:NAMED]))
-            more = f" and {len(nodes) - NAMED} more" if len(nodes) > NAMED else ""
-            plural = "s" if len(nodes) > 1 else ""
-            yield Notice(level=bus.level, text=f"{bus.name}: node{plural} {named}{more} {word}")
+    """Name the nodes of a bus that are not whole, one notice for each reason."""
+    if (place := _broken_at(bus)) is not None:
+        yield place
+        return
+    groups: defaultdict[tuple[str, str], list[NodeTrouble]] = defaultdict(list)
+    for each in bus.nodes_why:
+        groups[each.code, each.word].append(each)
+    for (code, word), found in groups.items():
+        nodes = [each.node for each in found]
+        named = ", ".join(map(str, nodes[:NAMED])) + (f" and {len(nodes) - NAMED} more" if len(nodes) > NAMED else "")
+        who = f"all {len(nodes)} nodes" if len(nodes) == len(bus.nodes) else f"node{'s' * (len(nodes) > 1)} {named}"
+        seen = sorted({each.why for each in found} - {word})
+        evidence = f" ({seen[0]}{f'; and {len(seen) - 1} more' * (len(seen) > 1)})" if seen else ""
+        since_time_s = min(each.since_time_s for each in found)
+        cause = Cause.of(code)
+        level = min(bus.level, cause.level, key=GRAVE.index)
+        yield cause.notice(f"{bus.name}: {who} {word}{evidence}", f"{bus.name} {word}", since_time_s, level)
 
 
-def _nodes_of_word(bus: BusView) -> dict[str, list[int]]:
-    """Sort a bus's nodes by why they do not measure."""
-    found: dict[str, list[int]] = {word: [] for word in (*NMT_WORDS.values(), REFUSED)}
-    for node, nmt in zip(bus.nodes, bus.nmt, strict=True):
-        if word := word_of(bus, node, nmt):
-            found[word].append(node)
-    return found
+def _broken_at(bus: BusView) -> Notice | None:
+    """Tell that the cable is broken: all nodes from one place to an end fell silent together, the others did not."""
+    silent = {each.node: each.since_time_s for each in bus.nodes_why if each.code == Cause.NODE_SILENT.code}
+    gone = [node in silent for node in bus.nodes]
+    count = sum(gone)
+    if count < BROKEN_AT_LEAST or count == len(gone) or max(silent.values()) - min(silent.values()) > TOGETHER_S:
+        return None
+    place = len(gone) - count if all(gone[-count:]) else count if all(gone[:count]) else None
+    if place is None:
+        return None
+    where = f"between node {bus.nodes[place - 1]} and node {bus.nodes[place]}"
+    named = ", ".join(map(str, silent))
+    text = f"{bus.name}: nodes {named} fell silent together: the cable is broken, or without supply, {where}"
+    return Cause.CABLE_BREAK.notice(text, f"{bus.name} {where}", min(silent.values()))
 
 
 def _ignored(state: Snapshot) -> Iterator[Notice]:
     if state.ignored:
         text = f"{state.ignored} messages ignored that do not fit this skin: is every service given the same layout?"
-        yield Notice(level="warning", text=text, kind="ignored")
+        yield Cause.MISFITS.notice(text)
 
 
 def _measures(state: Snapshot) -> bool:
     return state.gateway is not None and not state.gateway.stale
-
-
-def _error(text: str, since_time_s: float) -> Notice:
-    return Notice(level="error", text=text, since_time_s=since_time_s)

@@ -16,22 +16,30 @@ DEAD_LINKS: Final = ("lost", "bus_off")
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
-    """One line of text for the user.
+    """One thing that is wrong, for the user; `health.causes.Cause.notice` makes it.
 
     Attributes
     ----------
     level : str
         "info" (start is not finished), "warning" (degraded) or "error" (stopped).
+    code : str
+        Of the cause, see `health.causes.Cause`.
+    subject : str
+        What it is about, for example ``left node 2``; with `code` the same for as long as the condition lasts.
+    text : str
+        What is seen, with its evidence.
+    mend : str
+        What to do.
     since_time_s : float or None
         Wall-clock time when the condition began.
-    kind : str
-        The same for notices of one condition whose text changes with a number; empty for a text that stays.
     """
 
     level: str
+    code: str
     text: str
+    mend: str
+    subject: str = ""
     since_time_s: float | None = None
-    kind: str = ""
 
 
 class Service(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,6 +57,13 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
         From the token; see `canskin.peers.Peer`.
     difference : str
         Why the service cannot work with this page's skin; empty if it can.
+    memory_bytes, processor_ratio, made_per_s : int or float, or None
+        Of the last second, as `canskin.messages.ServiceStatus` tells: resident memory, processor time / time, and what
+        the service made. Those of all services of this name together; None if none tells.
+    lost : int
+        Messages that did not come, or came too fast, since the start of the processes.
+    loses_since_time_s : float or None
+        Wall-clock time since when more and more are lost.
     """
 
     alive: bool
@@ -58,6 +73,11 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str = ""
     scheduling: str = ""
     difference: str = ""
+    memory_bytes: int | None = None
+    processor_ratio: float | None = None
+    made_per_s: float | None = None
+    lost: int = 0
+    loses_since_time_s: float | None = None
 
 
 class ImageState(msgspec.Struct, frozen=True, kw_only=True):
@@ -169,11 +189,21 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NodeTrouble(msgspec.Struct, frozen=True):
-    """Why a node is not whole, in words, and the wall-clock time since when."""
+    """Why a node is not whole, and the wall-clock time since when.
+
+    Attributes
+    ----------
+    why : str
+        Evidence, in words.
+    code, word : str
+        Of the cause, and words that all nodes with this trouble share.
+    """
 
     node: int
     since_time_s: float
     why: str
+    code: str
+    word: str
 
 
 class BusView(BusState, frozen=True, kw_only=True):
@@ -207,11 +237,15 @@ class GatewayState(GatewayStatus, frozen=True, kw_only=True):
     ----------
     zero : str
         What the zero of the blocks rests on, and its age, in words; empty if unknown.
+    late, late_since_time_s : str, float or None
+        What the gateway's host has left out lately, in words, and the wall-clock time since when.
     """
 
     age_s: float
     stale: bool
     zero: str
+    late: str = ""
+    late_since_time_s: float | None = None
     buses: list[BusView]  # type: ignore[assignment]  # with more fields than `BusState`
 
 

@@ -16,6 +16,7 @@ from canskin.messages import (
     LABEL,
     MARK,
     NODES,
+    SERVICES,
     TRUTH,
     Contacts,
     GatewayStatus,
@@ -23,12 +24,13 @@ from canskin.messages import (
     Label,
     Mark,
     NodesStatus,
+    ServiceStatus,
     Truth,
 )
 from canskin.peers import Peer, new_peer
 from health.checks import fits
 from health.comparison import Comparison
-from health.nodes_why import NodeTroubles
+from health.nodes_why import Troubles
 from health.notices import display_name, notices
 from health.patches import Patches
 from health.services import Services
@@ -52,7 +54,7 @@ from skin.layout import Layout
 from skin.psnr import adds_noise
 
 #: What a `ViewState` takes.
-TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES)
+TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES, SERVICES)
 #: Images, contacts, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
 #: An image is shown without its contacts, its label or its truth if they have not come this long after it.
@@ -160,13 +162,19 @@ class ViewState:
         self._contacts = Held[Contacts](self._services, "reconstructor")
         self._label = Held[Label](self._services, "classifier")
         self._gateway = Latest[GatewayStatus](self._services, "gateway", STATUS_FRESH_S)
+        self._latest: dict[type, Latest[Any]] = {
+            Image: self._image,
+            Contacts: self._contacts,
+            Label: self._label,
+            GatewayStatus: self._gateway,
+        }
         self._mark: Mark | None = None
         self._nodes: dict[str, Latest[NodesStatus]] = {}
         #: When the newest message came.
         self._came_s = -inf
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
-        self._patches, self._troubles = Patches(layout), NodeTroubles()
+        self._patches, self._troubles = Patches(layout), Troubles()
         self._comparison, self._has_truths = Comparison(layout, SPAN_S), False
 
     def take(self, message: msgspec.Struct, now_s: float) -> bool:
@@ -174,31 +182,30 @@ class ViewState:
         if not fits(message, self._layout):
             self.ignored += 1
             return False
+        if isinstance(message, ServiceStatus):  # a service hears itself, also without the hub
+            self._services.take_status(message, now_s)
+            return True
         self._came_s = now_s
         match message:
             case Image():
                 self._count(message, now_s)
-                self._image.take(message, now_s)
                 self._patches.take(message, now_s)
                 self._comparison.take(message, now_s)
-            case Contacts():
-                self._contacts.take(message, now_s)
-            case Label():
-                self._label.take(message, now_s)
             case Truth():
                 self._comparison.take(message, now_s)
                 self._has_truths = True
             case Mark():
                 self._mark = message
             case GatewayStatus():
-                self._gateway.take(message, now_s)
                 self._troubles.take(message, now_s)
             case NodesStatus():
                 self._nodes.pop(message.process, None)
-                self._nodes[message.process] = latest = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
-                latest.take(message, now_s)
+                self._nodes[message.process] = process = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
+                process.take(message, now_s)
                 while len(self._nodes) > PROCESSES:
                     del self._nodes[next(iter(self._nodes))]
+        if (latest := self._latest.get(type(message))) is not None:
+            latest.take(message, now_s)
         return True
 
     def _count(self, image: Image, now_s: float) -> None:
@@ -239,6 +246,7 @@ class ViewState:
         else:
             psnr_db = None, None
         calibration = status.calibration if status else None
+        late, late_since_time_s = self._troubles.late(self._epoch_s)
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
             skin=self._layout.name,
@@ -254,6 +262,8 @@ class ViewState:
                 now_s,
                 buses=bus_views(status, self._troubles.of(self._epoch_s)) if status else [],
                 zero=calibration.zero_words if calibration else "",
+                late=late,
+                late_since_time_s=late_since_time_s,
             ),
             nodes=[shown for _, each in sorted(self._nodes.items()) if (shown := each.shown(NodesState, now_s))],
             services=self._service_states(now_s),
@@ -354,7 +364,7 @@ class ViewState:
         status, is_stale = self._gateway.message, self._gateway.is_stale(now_s)
         has_input = status and not is_stale and 0 < STATUS_FRESH_S * status.sync_rate_hz < status.cycles
         at_s = {"classifier": self._label.at_s, "reconstructor": self._image.at_s}
-        found = self._services.states()
+        found = self._services.states(now_s)
         for name, service in found.items():
             since_s = self._services.since_s(name, alive=True)
             if since_s is None:

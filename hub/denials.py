@@ -21,7 +21,7 @@ MOST_SESSIONS: Final = 4096
 _CHUNK: Final = 1 << 20
 #: A pipe that has less is read again after `PAUSE_S` only, because each turn costs as much as many lines.
 _LITTLE: Final = 1 << 16
-PAUSE_S: Final = 0.03
+PAUSE_S: Final = 0.1
 #: Length of the time in a line.
 _WHEN: Final = len("\x1b[2m2026-01-01T00:00:00.000000Z")
 #: What a line that counts has; most lines have neither.

@@ -39,7 +39,7 @@ class Holders(msgspec.Struct):
 def read_holders(folder: Path) -> Holders:
     """Return the list that a folder has, that of an authority or of the hub's keys; InputError if there is none."""
     path = folder / HOLDERS
-    expected = f"{path}: expected the list that 'skin keys new' makes"
+    expected = f"{path}: expected the list that 'skin keys new' makes, beside the authority and in the hub's keys"
     with reasoned(InputError, expected):
         content = path.read_bytes()
     try:

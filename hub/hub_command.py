@@ -1,5 +1,6 @@
 """``skin hub``: the fabric's hub as a process of its own."""
 
+import threading
 import time
 from contextlib import closing
 
@@ -8,6 +9,7 @@ from canskin.session import DEFAULT_ENDPOINT, LOOK_S, checked, open_hub, print_d
 from hub.denials import Denials, ignore_stdout, read_stdout
 from hub.holders import read_holders
 from hub.rules import access_control
+from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import Insecure, check_listen
 
@@ -31,20 +33,21 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     skin hub
     skin hub --listen tls/0.0.0.0:7447 --keys keys/hub
     """
-    stop = StopSignal().install()
+    pulse = Pulse(StopSignal().install())
     check_listen(listen, "hub", insecure=insecure)
     endpoint, keys = checked(listen, environment_keys())
     rules = None
     if keys is not None:
-        keys.tell_end("hub")
+        keys.watch_end("hub", threading.Event())
         rules = access_control(keys.folder)
         revoked = read_holders(keys.folder).revoked
         read_stdout(Denials(lambda text: say("hub", text), revoked).take)
         print_denials()
     with closing(open_hub(endpoint, keys, rules)):
-        say("hub", f"listens on {endpoint}: give that to 'skin gateway' and all others as --connect")
+        address = endpoint.replace("/0.0.0.0:", "/HOST:").replace("/[::]:", "/HOST:")
+        say("hub", f"listens on {endpoint}: give {address} to 'skin gateway' and all others as --connect")
         request_real_time("hub")
-        while not stop.is_set():
+        while not pulse.is_set():
             time.sleep(LOOK_S)
         if rules is not None:
             ignore_stdout()  # while zenoh closes, Python might read no more, and zenoh would wait

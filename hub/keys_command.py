@@ -14,8 +14,9 @@ from hub.authority import Authority, new_authority
 from hub.holders import read_holders
 from shell.terminal import print_table
 
+_SKIN: Final = "[a-z][a-z0-9_]*"
 #: A common name; 64 characters are the most (RFC 5280, upper bound of X520CommonName).
-_NAME: Final = re.compile(rf"(?=.{{1,64}}$)[a-z][a-z0-9_]*:({'|'.join((HUB, *ROLES))})(:[A-Za-z0-9_-]+)?")
+_NAME: Final = re.compile(rf"(?=.{{1,64}}$){_SKIN}:({'|'.join((HUB, *ROLES))})(:[A-Za-z0-9_-]+)?")
 Hosts = Annotated[tuple[str, ...], Parameter(name="--host")]
 
 
@@ -39,6 +40,8 @@ def new(folder: Path, *, skin: str, host: Hosts = ()) -> None:
     skin keys new keys --skin palm
     skin keys new keys --skin palm --host robot.local 10.0.0.5
     """
+    if not re.fullmatch(_SKIN, skin):
+        raise InputError(f"--skin {skin}: expected the name of the skin in its layout: small letters, digits and _")
     names = _common_names(skin, (HUB, *ROLES))
     _issue(new_authority(folder, skin, host), names)
 
@@ -61,7 +64,7 @@ def add(folder: Path, *names: str) -> None:
     authority = Authority(folder)
     wanted = _common_names(authority.list.skin, names)
     for name in wanted:
-        if authority.keys_of(name).exists():
+        if name in authority.list.until:
             raise InputError(f"'{name}' has keys: 'skin keys renew', or add another holder")
     _issue(authority, wanted)
 
@@ -160,7 +163,9 @@ def _common_names(skin: str, names: Sequence[str]) -> list[str]:
     for name in found:
         if not _NAME.fullmatch(name):
             roles = ", ".join((HUB, *ROLES))
-            raise InputError(f"'{name}': expected ROLE, ROLE:HOLDER or SKIN:ROLE:HOLDER, ROLE one of {roles}")
+            raise InputError(
+                f"'{name}': expected ROLE, ROLE:HOLDER or SKIN:ROLE:HOLDER, 64 signs at most, ROLE one of {roles}"
+            )
     return found
 
 

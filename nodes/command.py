@@ -14,6 +14,7 @@ from dbc.contract import Contract
 from nodes.firmware.library import Firmware
 from nodes.sending import sending_of
 from nodes.service import NodesService
+from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import join
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
@@ -86,6 +87,7 @@ def nodes(
         except OSError as error:
             raise InputError(f"--store {store}: expected a folder that can be written: {error.strerror}") from error
     stop = StopSignal().install()
+    pulse = Pulse(stop)
     skin = load_layout(layout)
     analogue = {"noise_n": noise_n, "seed": touch.seed, "defects": touch.defects(skin)}
     contract = Contract.from_layout(skin)
@@ -97,14 +99,14 @@ def nodes(
     blocks = [node.block for node in mine]
     hardware = sending_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
-    joined = join(skin, "nodes", connect, stop=stop) if fabric else None
+    joined = pulse.fabric = join(skin, "nodes", connect, stop=pulse) if fabric else None
     service = NodesService(
         contract, links, chosen, hardware, joined, store=store, unnumbered=unnumbered, firmware=compiled
     )
     count = sum(map(len, chosen.values()))
     say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}")
     try:
-        service.run(stop)
+        service.run(stop, pulse.beat)
     finally:
         for link in links.values():
             link.close()

@@ -15,6 +15,7 @@ from nodes.firmware.library import Firmware
 from nodes.hardware import NEVER_S, Hardware
 from nodes.segment import Boards, Segment
 from nodes.virtual_boards import VirtualBoards
+from shell.pulse import Beat, unheard
 from shell.service import RateLimitedLog, StopSignal, request_real_time
 
 #: Longest wait for frames.
@@ -79,13 +80,14 @@ class NodesService:
         self._status_at_s = 0.0
         self._prepare_after_s = PREPARE_FROM * contract.layout.sync.period_s if len(links) > 1 else 0.0
 
-    def run(self, stop: StopSignal) -> None:
+    def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
         """Boot the nodes, then serve until `stop`."""
         for segment in self.segments.values():
             segment.boot(self._clock())
         request_real_time("nodes", None if self._fabric is None else self._fabric.tell_scheduling)
         while not stop.is_set():
             self.turn()
+            beat(self.frames_sent)
         self._await_frames()
         self.publish_status()
 
@@ -118,6 +120,11 @@ class NodesService:
         if now_s - max(segment.sync_at_s for segment in self.segments.values()) >= self._prepare_after_s:
             self._hardware.prepare()
 
+    @property
+    def frames_sent(self) -> int:
+        """Number of frames that the boards have sent."""
+        return sum(segment.frames_sent for segment in self.segments.values())
+
     def publish_status(self) -> None:
         """Publish the counters of all segments."""
         if self._fabric is None:
@@ -125,7 +132,7 @@ class NodesService:
         status = NodesStatus(
             time_ns=time.time_ns(),
             process=str(os.getpid()),
-            frames_sent=sum(segment.frames_sent for segment in self.segments.values()),
+            frames_sent=self.frames_sent,
             frames_dropped=sum(segment.frames_dropped for segment in self.segments.values()),
             syncs_seen=max(segment.syncs_seen for segment in self.segments.values()),
         )

@@ -8,6 +8,7 @@ from typing import Final
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService, warm_up
+from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
 
@@ -40,6 +41,7 @@ def reconstruct(
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
     stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     (solver or SolverOptions()).settings()  # its errors before any wait
     skin = of.find(stop)
     imager = make_imager(skin, solver, gains)
@@ -49,8 +51,9 @@ def reconstruct(
         warm_up(skin, imager)
     finally:
         patience.cancel()
-    with closing(of.join(skin, "reconstructor", stop)) as fabric:
+    with closing(of.join(skin, "reconstructor", pulse)) as fabric:
+        pulse.fabric = fabric
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.words}, {imager.about}")
         service.schedule(fabric.tell_scheduling)
-        service.run(stop)
+        service.run(stop, pulse.beat)

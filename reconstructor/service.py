@@ -12,6 +12,7 @@ from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Meas
 from canskin.sums import doubtful_taxels
 from reconstructor.contacts import ContactTracker
 from reconstructor.imaging import Imager
+from shell.pulse import Beat, unheard
 from shell.service import StopSignal, request_real_time, yield_processor
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, used_blocks
@@ -74,12 +75,13 @@ class ReconstructorService:
         else:
             tell(yield_processor())  # fewer sums than blocks give poor images: the label counts
 
-    def run(self, stop: StopSignal) -> None:
+    def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
         """Serve until `stop`."""
         while not stop.is_set():
             measurement = self._mailbox.get(PATIENCE_S)
             if measurement is not None:
                 self.take(measurement)
+            beat(self.images)
 
     def take(self, measurement: Measurement) -> None:
         """Solve and publish one measurement, or refuse it."""

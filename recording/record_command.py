@@ -30,6 +30,7 @@ from recording import RECORDING_SUFFIX, is_recording
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
+from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from skin.layout import Layout
@@ -79,6 +80,7 @@ def record(
     if seconds is not None:
         require_above_zero("--seconds", seconds)
     stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     check_new_path(out, "recording")
     name = None if label is None else check_label(label.strip())
     _check_kept(out, "--label", name is not None)
@@ -91,7 +93,6 @@ def record(
     names = {number: each.name for number, each in enumerate(skin.bus)}
     opened = range(len(skin.bus) if frames else 0)
     links = open_links(skin, bus or BusOptions(), opened, name="recorder", sends=False, stop=stop)
-    joined: list[Fabric] = []
     joining: threading.Thread | None = None
     try:
         now_ns = time.time_ns()
@@ -100,13 +101,13 @@ def record(
         if name:
             say("record", f"label: {name}")
             recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=name)))
-        join = partial(_join, of, skin, recorder, stop, joined)
+        join = partial(_join, of, skin, recorder, stop, pulse)
         if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
             joining = threading.Thread(target=join, name="join the fabric")
             joining.start()
         say("record", f"{', '.join(names.values()) if frames else 'messages'} to {out}")
         request_real_time("record")  # else services with it keep messages from coming
-        recorder.run(stop, seconds or float("inf"))
+        recorder.run(stop, seconds or float("inf"), pulse.beat)
     except OSError as error:
         reason = error.strerror or error
         raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
@@ -117,8 +118,8 @@ def record(
         if joining is not None:
             # A thread that returns from zenoh while the interpreter ends would abort the process.
             joining.join()
-        for fabric in joined:
-            fabric.close()
+        if pulse.fabric is not None:
+            pulse.fabric.close()
     _conclude(recorder, out)
 
 
@@ -128,7 +129,7 @@ def _check_kept(out: Path, option: str, is_given: bool) -> None:
         raise InputError(f"{option}: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
 
 
-def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:
+def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, pulse: Pulse) -> None:
     """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
 
     def note(peer: Peer, alive: bool) -> None:
@@ -141,13 +142,12 @@ def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, j
             fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
 
     try:
-        fabric = of.join(skin, "recorder", stop, prepare=subscribe)
+        fabric = pulse.fabric = of.join(skin, "recorder", stop, prepare=subscribe)
     except Stopped:
         return
     except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
-    joined.append(fabric)
     follow_calibration(fabric, recorder.take_file, stop)
 
 

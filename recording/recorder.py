@@ -10,6 +10,7 @@ from canskin.fabric import Missed, Origin
 from canskin.messages import MARK, Topic
 from recording.mcap_file import EVENTS, LONGEST_MESSAGE, RECORDER, File
 from recording.sinks import Sink
+from shell.pulse import Beat, unheard
 from shell.service import StopSignal, say
 
 #: Time between two batches of frames that are read. Links keep some thousands of frames.
@@ -89,7 +90,7 @@ class Recorder:
         """Take an attachment; from any thread."""
         self._files.append(file)
 
-    def run(self, stop: StopSignal, until_s: float = float("inf")) -> None:
+    def run(self, stop: StopSignal, until_s: float = float("inf"), beat: Beat = unheard) -> None:
         """Record until `stop`, or for `until_s` seconds.
 
         Raises
@@ -102,6 +103,7 @@ class Recorder:
             while not stop.is_set() and time.monotonic() < end_s:
                 time.sleep(TURN_S)
                 self.turn()
+                beat(self.frames + self.messages)
             self.turn()
             self._tell_counters()
             self._sink.close()

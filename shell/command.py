@@ -66,7 +66,7 @@ VERBS: Final = {
     "keys revoke": "hub.keys_command:revoke",
     "keys list": "hub.keys_command:list_",
     "keys explain": "hub.keys_command:explain",
-    "doctor": "health.doctor_command:doctor",
+    "doctor": "commissioning.doctor_command:doctor",
     "touch objects": "touch.command:objects",
     "touch dataset": "touch.datasets.command:dataset",
     "train": "classifier.command:train",

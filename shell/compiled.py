@@ -17,11 +17,13 @@ from typing import Any, Final, TypeVar
 import numba
 import numpy as np
 from numba import config, types
-from numba.core import cgutils
+from numba.core import caching, cgutils, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic, is_jitted
 from numba.np.arrayobj import make_array
+
+from shell.watchdog import WATCHDOG
 
 __all__ = ["borrowed", "njit"]
 
@@ -67,7 +69,7 @@ class _Stamped:
         self._file = py_file
 
     def get_source_stamp(self) -> str:
-        """Return a hash over the files of the kernel and of the kernels that it can call, and over their constants.
+        """Return a hash over the files of the kernel and of the kernels that it can call, and over what these name.
 
         The files' names are those of their modules: a copy of the project can use what the project has compiled.
         """
@@ -88,8 +90,22 @@ class FolderOfUser(_Stamped, UserWideCacheLocator):
     """The user's cache folder."""
 
 
+class Index(caching.IndexDataCacheFile):
+    """The kernels of a function on disk, by the types of their arguments."""
+
+    def _load_index(self) -> Any:
+        """Return what was kept; nothing where the class of an argument is gone, which Numba finds before the stamp."""
+        try:
+            return super()._load_index()  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError):
+            return {}
+
+
+caching.IndexDataCacheFile = Index  # type: ignore[misc]
+
+
 def _collect(file: str, names: dict[str, Any], parts: dict[str, str]) -> None:
-    """Add a file, the constants among its module's `names`, and the files of the kernels among them."""
+    """Add a file, constants and fields of tuples among its module's `names`, and the files of kernels among them."""
     module = names["__name__"]
     parts[module] = _content(file)
     for name, value in list(names.items()):
@@ -101,6 +117,8 @@ def _collect(file: str, names: dict[str, Any], parts: dict[str, str]) -> None:
                 _collect(inspect.getfile(value.py_func), callee, parts)
         elif _is_plain(value):
             parts[f"{module}:{name}"] = repr(value)
+        elif isinstance(value, type) and issubclass(value, tuple):
+            parts[f"{module}:{name}"] = repr(getattr(value, "_fields", ()))
         elif isinstance(value, np.ndarray):
             parts[f"{module}:{name}"] = f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
 
@@ -123,6 +141,19 @@ PLACES: Final[tuple[Any, ...]] = (FolderGiven, FolderOfSource, FolderOfUser)
 config.CACHE_LOCATOR_CLASSES = ",".join(  # type: ignore[attr-defined]  # numba makes its settings at run time
     f"{place.__module__}.{place.__qualname__}" for place in PLACES
 )
+
+
+class _Compiling(event.Listener):
+    """Tells the watchdog that kernels are compiled, one by one, as in the first turns of a loop."""
+
+    def on_start(self, event: Any) -> None:  # noqa: ARG002 - Numba gives it
+        """Note that the compiler begins or ends with a kernel."""
+        WATCHDOG.compiles()
+
+    on_end = on_start
+
+
+event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]
 
 
 def njit(*signatures: Any, cache: bool = False, **options: Any) -> Callable[[Kernel], "Dispatcher[Kernel]"]:

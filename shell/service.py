@@ -21,6 +21,7 @@ from typing import Final
 from canskin.errors import LOG, InputError, reasoned
 from canskin.peers import ORDINARY, REAL_TIME
 from canskin.session import HIGHEST_PORT
+from shell.watchdog import WATCHDOG
 
 #: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
@@ -82,6 +83,7 @@ class StopSignal:
 
     def _caught(self, _number: int, _frame: FrameType | None) -> None:
         self._is_set = True
+        WATCHDOG.end()
 
 
 class RateLimitedLog:

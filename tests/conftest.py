@@ -4,6 +4,7 @@ import gc
 import math
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -13,7 +14,7 @@ from hypothesis.internal.conjecture import providers
 from xdist.scheduler import LoadFileScheduling
 
 from canskin import session
-from tests.processes import PATIENCE_S, free_endpoint
+from tests.processes import PATIENCE_S, Verb, free_endpoint
 
 # A peer of the ROS 2 tests imports GitPython, which fails without a program that no test runs.
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
@@ -95,6 +96,20 @@ def _refuse(*_: object) -> None:
 @pytest.fixture
 def endpoint() -> str:
     return free_endpoint()
+
+
+@pytest.fixture
+def skin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Verb:
+    """Run ``skin`` with arguments in this process; return exit code, output and errors."""
+    from shell.command import main
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["skin", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return int(ended.value.code or 0), *capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture

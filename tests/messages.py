@@ -1,4 +1,7 @@
-"""One builder for each message of the services. The client's tests use them on Python 3.10, without the application."""
+"""One builder for each message of the services, and a fabric that keeps messages.
+
+The client's tests use them on Python 3.10, without the application.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import replace
 
+from canskin.fabric import Mailbox
 from canskin.messages import (
     BlockState,
     BusState,
@@ -18,12 +22,35 @@ from canskin.messages import (
     Image,
     Label,
     NodesStatus,
+    ServiceStatus,
     SteppedMeasurement,
     Truth,
 )
 
 if TYPE_CHECKING:
     from skin.layout import Layout
+
+
+class Published:
+    """A fabric without wires: what a service publishes, and the mailboxes that the service asks for."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+        self.mailboxes: list[Mailbox[Any]] = []
+
+    def tell_scheduling(self, _scheduling: str) -> None:
+        """Nobody listens."""
+
+    def publish(self, _topic: object, message: Any) -> None:
+        self.messages.append(message)
+
+    def mailbox(self, _topic: object, depth: int = 4) -> Mailbox[Any]:
+        self.mailboxes.append(Mailbox(depth))
+        return self.mailboxes[-1]
+
+    def of(self, kind: type) -> list[Any]:
+        """Return the messages of a kind."""
+        return [each for each in self.messages if isinstance(each, kind)]
 
 
 def counter_of(cycle: int) -> int:
@@ -135,3 +162,16 @@ def gateway_status(cycles: int = 1, **changed: Any) -> GatewayStatus:
 def nodes_status(process: str = "nodes", **changed: Any) -> NodesStatus:
     """Return the counters of a process that has lost no frame."""
     return replace(NodesStatus(time_ns=0, process=process, frames_sent=0, frames_dropped=0, syncs_seen=10), **changed)
+
+
+def service_status(second: int, service: str = "reconstructor", instance: str = "1", **changed: Any) -> ServiceStatus:
+    """Return what a service tells of itself in a second of its life: 100 things made, half of the time at work."""
+    made = ServiceStatus(
+        time_ns=second * 1_000_000_000,
+        service=service,
+        instance=instance,
+        memory_bytes=1 << 20,
+        processor_s=0.5 * second,
+        made=100 * second,
+    )
+    return replace(made, **changed)

@@ -15,6 +15,8 @@ from typing import Final
 import pytest
 
 PATIENCE_S: Final = 240.0
+#: ``skin`` as a person types its arguments: exit code, output, errors (fixture ``skin``).
+Verb = Callable[..., tuple[int, str, str]]
 
 
 class Processes:

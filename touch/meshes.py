@@ -16,6 +16,8 @@ from touch.contact import TRAVEL_M, FloatArray, Spheres
 #: Largest file and number of vertices; larger meshes are refused. The paper's objects have 0.5 MB and 14 000 vertices.
 MOST_BYTES: Final = 256 * 2**20
 MOST_VERTICES: Final = 300_000
+#: Of what trimesh reads, the formats that hold one mesh and are not packed: an archive may unpack to any size.
+FORMATS: Final = (".ply", ".stl", ".obj", ".off", ".glb")
 #: Allowed extent of an object; a file outside these limits is probably in another unit.
 SMALLEST_M, LARGEST_M = 0.005, 1.5
 #: Largest radius of a sphere: larger spheres would show the vertices, not the object.
@@ -72,13 +74,12 @@ def find_mesh(folder: Path, pose: MeshPose) -> Path:
     """Return the file of a mesh in a folder."""
     if not folder.is_dir():
         raise InputError(f"expected a folder of meshes, got '{folder}'")
-    endings = _trimesh().available_formats()
     for stem in pose.stems:
         for path in sorted(folder.glob(f"{stem}.*")):
-            if path.suffix[1:].lower() in endings:
+            if path.suffix.lower() in FORMATS:
                 return path
     names = " or ".join(f"{stem}.ply" for stem in pose.stems)
-    raise InputError(f"no mesh {names} (or .stl, .obj, .off, .glb) in '{folder}': add it, or leave the folder out")
+    raise InputError(f"no mesh {names} (or {', '.join(FORMATS[1:])}) in '{folder}': add it, or leave the folder out")
 
 
 def load_mesh(path: Path, pose: MeshPose) -> Spheres:
@@ -115,8 +116,8 @@ def load_mesh(path: Path, pose: MeshPose) -> Spheres:
 
 def _read(path: Path, pose: MeshPose) -> FloatArray:
     """Return the vertices of a file, shape (n, 3), after every check."""
-    if not path.is_file():
-        raise InputError(f"no mesh at '{path}': expected a file that trimesh reads, for example .stl, .obj or .ply")
+    if not path.is_file() or path.suffix.lower() not in FORMATS:
+        raise InputError(f"no mesh at '{path}': expected a file that ends in {', '.join(FORMATS)}")
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise InputError(f"'{path}' is too large: {size / 2**20:.0f} MiB, expected at most {MOST_BYTES // 2**20}")

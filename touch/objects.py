@@ -133,7 +133,7 @@ def spheres_of(name: str, meshes: str | Path | None = None) -> Spheres:
     name : str
         One of `CATALOGUE`, or ``FILE@UNIT``.
     meshes : str or pathlib.Path, optional
-        Folder of meshes in metres, in any format that trimesh reads: ``banana.ply``, ``drill.stl``, … Only the objects
+        Folder of meshes in metres, of `touch.meshes.FORMATS`: ``banana.ply``, ``drill.stl``, … Only the objects
         that the paper takes from meshes use this folder.
     """
     item = _item(name)

@@ -108,7 +108,7 @@ class CalibrationStatus(Told, frozen=True, kw_only=True):
 
     @property
     def zero_words(self) -> str:
-        """How many blocks have a zero of which support, and the age of the oldest; empty if unknown, or if there are to be none."""
+        """How many blocks have a zero of which support, and the age of the oldest; empty if unknown or off."""
         if self.state is CalibrationState.OFF and not any(self.zero_support):
             return ""
         counts, oldest_s = Counter(self.zero_support), self.oldest_zero_s

@@ -198,9 +198,8 @@ class Fabric:
         self._publishers: dict[str, Any] = {}
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
+        self._mailboxes: list[Mailbox[Any]] = []
         keys = keys or environment_keys()
-        if keys is not None and service:
-            keys.tell_end(service)
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
         self._holder = None if hub else checked(endpoint, keys)[1]
         self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
@@ -214,6 +213,9 @@ class Fabric:
         except BaseException:
             self._session.close()
             raise
+        self._closed = threading.Event()
+        if keys is not None and service:
+            keys.watch_end(service, self._closed)
         if fingerprint:
             self.watch_peers(self._compare)
 
@@ -221,6 +223,16 @@ class Fabric:
     def instance(self) -> str:
         """What distinguishes this service from others of its name, see `canskin.peers.Peer`."""
         return self._peer.instance
+
+    @property
+    def service(self) -> str:
+        """Name under which the others see this service."""
+        return self._peer.service
+
+    @property
+    def overruns(self) -> int:
+        """Messages that newer ones replaced in mailboxes; one of depth 1 is for the newest alone, and loses none."""
+        return sum(each.overrun for each in self._mailboxes)
 
     def tell_scheduling(self, scheduling: str) -> None:
         """Tell the other services how this service is scheduled; see `canskin.peers.Peer`."""
@@ -267,6 +279,8 @@ class Fabric:
         """Return a mailbox that holds the newest `depth` messages of `topic`."""
         mailbox: Mailbox[Any] = Mailbox(depth, self._decoder(topic))
         self._receive(topic, lambda sample: mailbox.put(sample.payload.to_bytes()))
+        if depth > 1:
+            self._mailboxes.append(mailbox)
         return mailbox
 
     def answer(self, question: Question, handler: Callable[[Any, Reply], None]) -> None:
@@ -350,6 +364,7 @@ class Fabric:
 
     def close(self) -> None:
         """Close the connection after all published messages are sent."""
+        self._closed.set()
         self._session.close()
 
     def _require_right(self, action: Action, name: str) -> None:

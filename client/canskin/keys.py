@@ -8,6 +8,7 @@ uses the files; the standard library's `ssl` checks them, and tells why a hub re
 import os
 import socket
 import ssl
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -24,6 +25,7 @@ ENVIRONMENT: Final = "SKIN_KEYS"
 PROTOCOLS_WITH_KEYS: Final = ("tls", "quic")
 #: A service says so when its keys end in less.
 RENEWAL_DAYS: Final = 30
+_DAY_S: Final = 86400.0
 #: Role of whoever may listen.
 HUB: Final = "hub"
 #: Longest wait for each of three answers of a hub: to a connection, to TLS, to the certificate.
@@ -98,11 +100,24 @@ class Keys:
         if time.time() < begins_s:
             raise InputError(f"keys {self.folder}: the certificate begins {about['notBefore']}: is this clock right?")
 
-    def tell_end(self, service: str) -> None:
-        """Log in the name of a service that the keys end soon."""
-        days = (self.ends_s - time.time()) / 86400
-        if days < RENEWAL_DAYS:
-            tell(service, f"the keys {self.folder} end in {days:.0f} days: 'skin keys renew'")
+    def watch_end(self, service: str, closed: threading.Event) -> None:
+        """Log in the name of a service, now and once a day until `closed`, that the keys end soon or have ended."""
+
+        def look() -> float:
+            if self.role != HUB:  # a hub reads its files when it starts, and never again
+                with suppress(OSError, ssl.SSLError):
+                    self.ends_s = ssl.cert_time_to_seconds(self._certificate()["notAfter"])
+            left_s = self.ends_s - time.time()
+            if left_s < RENEWAL_DAYS * _DAY_S:
+                when = f"end in {left_s / _DAY_S:.0f} days" if left_s > 0 else "have ended"
+                tell(service, f"the keys {self.folder} {when}: 'skin keys renew'")
+            return min(left_s, _DAY_S) if left_s > 0 else _DAY_S
+
+        def watch(wait_s: float) -> None:
+            while not closed.wait(wait_s):
+                wait_s = look()
+
+        threading.Thread(target=watch, args=(look(),), name="keys", daemon=True).start()
 
     def settings(self, *, is_hub: bool) -> dict[str, Any]:
         """Return zenoh's settings: both sides show a certificate, and the hub's names its host."""

@@ -8,7 +8,7 @@ on the bus. Messages that follow from a measurement carry its `sampled_mono_ns` 
 """
 
 from collections.abc import Callable
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import Any, Final
 
 import msgspec
@@ -410,6 +410,45 @@ class NmtState(IntEnum):
 SILENT: Final = 255
 
 
+class Fault(str, Enum):
+    """Why the gateway does not use the sums of a node."""
+
+    ABSENT = "absent"  #: Never heard since the start of the gateway.
+    AWAY = "away"  #: Absent or silent, as an optional node may be.
+    SILENT = "silent"  #: Its heartbeat is overdue.
+    OTHER_DEVICE = "other-device"  #: Its identity (1018h) or type (1000h) is another.
+    REFUSED = "refused"  #: Its configuration is another.
+    UNANSWERED = "unanswered"  #: It sends heartbeats, and answers no SDO request.
+    LEFT = "left"  #: It has left OPERATIONAL.
+    BOOTED = "booted"  #: It has booted again.
+    CHANGED = "changed"  #: Its configuration has become another, or another master writes there.
+    UNPROVEN = "unproven"  #: Its configuration was not proven for too long.
+    STARTING = "starting"  #: Its first proof is under way.
+    FROZEN = "frozen"  #: Its values stand still while its frames go on.
+
+    __str__ = str.__str__  # the value, as `enum.StrEnum` of Python 3.11 has it
+
+
+class NodeFault(Told, frozen=True):
+    """Why a node's sums are not used: the kind, and what the gateway has seen, in words."""
+
+    kind: Fault
+    words: str = ""
+
+    @property
+    def code(self) -> str:
+        """The name of the cause in notices, logs and metrics (`health.causes.Cause.code`)."""
+        return f"node-{self.kind}"
+
+
+class NodeEmergency(msgspec.Struct, frozen=True):
+    """An emergency of a node: its error code, 0 when no error is left (CiA 301, 7.2.7.1), and when it came."""
+
+    node: int
+    code: int
+    time_ns: int
+
+
 class BusState(Told, frozen=True, kw_only=True):
     """State of one bus, from the gateway.
 
@@ -425,6 +464,8 @@ class BusState(Told, frozen=True, kw_only=True):
         Number of frames per node since the start that did not come in their cycle, and that came too late.
     emcy : list of int
         Error code of each node's newest emergency, 0 for none (CiA 301, 7.2.7.1).
+    emergencies : list of NodeEmergency
+        The newest ones of each node since the gateway's start, up to `gateway.node_machine.HISTORY`, the oldest first.
     link : str
         Worst state of the gateway's controller since the last status: active, warning, passive, bus_off, or lost.
     trouble : str
@@ -433,6 +474,13 @@ class BusState(Told, frozen=True, kw_only=True):
         Node-IDs that answer but are not used: their configuration differs from the contract.
     overrun : int
         Number of frames that the gateway's receive buffer lost since the start.
+    faults : dict of int to NodeFault
+        By node-ID, of the nodes whose sums are not used.
+    answer_s, heartbeat_s : list of (float, float)
+        Least and longest time of each node's answers to SDO requests, and between its heartbeats, in the last 10 s to
+        20 s; (0, 0) without any.
+    other_sync : str
+        Who else has sent SYNC in the last 10 s, in words; empty without.
     """
 
     name: str
@@ -447,6 +495,11 @@ class BusState(Told, frozen=True, kw_only=True):
     link: str = "active"
     trouble: str = ""
     overrun: int = 0
+    faults: dict[int, NodeFault] = msgspec.field(default_factory=dict)
+    answer_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
+    heartbeat_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
+    other_sync: str = ""
+    emergencies: list[NodeEmergency] = msgspec.field(default_factory=list)
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -462,6 +515,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
         Number of SYNCs that were not sent because they were too late.
     calibration : CalibrationStatus or None
         None from a gateway without calibration, as in a replay.
+    heartbeat_limit_s, answer_limit_s : float
+        A node is silent when no heartbeat came for the first, and has the second for an answer to an SDO request.
     """
 
     time_ns: int
@@ -472,6 +527,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     buses: list[BusState]
     syncs_skipped: int = 0
     calibration: CalibrationStatus | None = None
+    heartbeat_limit_s: float = 0.0
+    answer_limit_s: float = 0.0
 
 
 class NodesStatus(Told, frozen=True, kw_only=True):
@@ -482,6 +539,35 @@ class NodesStatus(Told, frozen=True, kw_only=True):
     frames_sent: int
     frames_dropped: int
     syncs_seen: int
+
+
+class ServiceStatus(Told, frozen=True, kw_only=True):
+    """What a service tells of itself, once a second while it works; its counters begin with its process.
+
+    Attributes
+    ----------
+    service, instance : str
+        Those of its `canskin.peers.Peer`.
+    memory_bytes : int
+        Resident memory; 0 where the system does not tell.
+    processor_s : float
+        Processor time of all its threads.
+    missed : int
+        Messages that did not come: the fabric dropped them, see `canskin.fabric.Missed`.
+    overruns : int
+        Messages that came, and were replaced by newer ones because the service was too slow for them.
+    made : int
+        What it is there for: measurements, images, labels, frames of nodes, recorded frames and messages; 0 of others.
+    """
+
+    time_ns: int
+    service: str
+    instance: str
+    memory_bytes: int
+    processor_s: float
+    missed: int = 0
+    overruns: int = 0
+    made: int = 0
 
 
 class Topic(msgspec.Struct, frozen=True):
@@ -518,3 +604,4 @@ TRUTH: Final = Topic("truth", Truth)
 MARK: Final = Topic("marks", Mark)
 GATEWAY: Final = Topic("gateway", GatewayStatus)
 NODES: Final = Topic("nodes", NodesStatus)
+SERVICES: Final = Topic("services", ServiceStatus)

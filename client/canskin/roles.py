@@ -8,13 +8,13 @@ from typing import Final, Literal, NamedTuple
 
 from canskin.calibration_messages import CALIBRATION, ZERO
 from canskin.description import DESCRIPTION, LAYOUT
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, NODES, TRUTH, Topic
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, NODES, SERVICES, TRUTH, Topic
 from canskin.question import Question
 
 #: Publish a topic, hear a topic, ask a question, answer a question, be seen under the name of a service.
 Action = Literal["put", "subscribe", "ask", "answer", "appear"]
 ACTIONS: Final[tuple[Action, ...]] = ("put", "subscribe", "ask", "answer", "appear")
-TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH, MARK, GATEWAY, NODES)
+TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH, MARK, GATEWAY, NODES, SERVICES)
 QUESTIONS: Final = (LAYOUT, DESCRIPTION, CALIBRATION, ZERO)
 #: What a program needs that shows touches.
 _OUTPUTS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY)
@@ -52,39 +52,41 @@ ROLES: Final = {
     "gateway": Role(
         "skin gateway: gives the sums of the boards, and has the zero of its skin",
         ("gateway",),
-        put=(MEASUREMENT, GATEWAY),
+        put=(MEASUREMENT, GATEWAY, SERVICES),
         subscribe=(MEASUREMENT,),
         answer=QUESTIONS,
     ),
     "nodes": Role(
         "skin nodes: virtual boards, which tell the true forces",
         ("nodes",),
-        put=(TRUTH, NODES),
+        put=(TRUTH, NODES, SERVICES),
         subscribe=(MEASUREMENT,),
     ),
     "reconstructor": Role(
         "skin reconstruct: makes images and contacts of the sums",
         ("reconstructor",),
-        put=(IMAGE, CONTACTS),
+        put=(IMAGE, CONTACTS, SERVICES),
         subscribe=(MEASUREMENT, IMAGE),
         ask=(LAYOUT,),
     ),
     "classifier": Role(
         "skin classify: names what touches the skin",
         ("classifier",),
-        put=(LABEL,),
+        put=(LABEL, SERVICES),
         subscribe=(MEASUREMENT, LABEL),
         ask=(LAYOUT,),
     ),
     "viewer": Role(
         "skin view, show, list and calibration show: changes nothing",
         ("viewer", "show", "calibration"),
+        put=(SERVICES,),
         subscribe=TOPICS,
         ask=(LAYOUT, ZERO),
     ),
     "recorder": Role(
         "skin record: writes all messages and the zero into a file",
         ("recorder",),
+        put=(SERVICES,),
         subscribe=TOPICS,
         ask=(LAYOUT, ZERO),
     ),
@@ -97,13 +99,14 @@ ROLES: Final = {
     "ros2": Role(
         "skin ros2: gives ROS 2 the touches, and has a service there that measures the zero",
         ("ros2",),
+        put=(SERVICES,),
         subscribe=_OUTPUTS,
         ask=(LAYOUT, CALIBRATION),
     ),
     "operator": Role(
         "a person: skin tare and calibration, a page with its actions, programs that tare or mark; and all that reads",
         ("viewer", "show", "calibration", "recorder", "client", "ros2"),
-        put=(MARK,),
+        put=(MARK, SERVICES),
         subscribe=TOPICS,
         ask=QUESTIONS,
     ),

@@ -244,7 +244,9 @@ def _is_blind(session: Any) -> bool:
 
 
 def _raise_refusal(endpoint: str, listener: Listener, keys: Keys | None) -> None:
-    """Raise BusError with the reason if the hub refuses a connection."""
+    """Raise BusError with the reason if the hub refuses a connection, or would: its own keys have no role."""
+    if keys is not None and keys.role == HUB:
+        raise BusError(f"keys {keys.folder}: they are the hub's own: expected those of a role, see 'skin keys explain'")
     if why := reason(endpoint, keys):
         holder = f"'{keys.common_name}'" if keys else "a program without keys"
         raise BusError(f"the {listener.name} at {endpoint} refuses {holder}: {why}") from None

@@ -1,7 +1,6 @@
 """Bit timing: published registers, a slow search as judge, and clocks that cannot make a rate."""
 
 import json
-from collections.abc import Callable
 
 import pytest
 from hypothesis import given
@@ -10,9 +9,9 @@ from hypothesis import strategies as st
 from bandwidth.bit_timing import TimingOptions, controller_timing
 from canskin.errors import InputError
 from skin.layout import Bus
+from tests.processes import Verb
 
 SHORT = TimingOptions(bus_length_m=1.0, loop_delay_ns=100.0)
-Skin = Callable[..., tuple[int, str, str]]
 
 
 def bus(bit_rate_hz: int, data_hz: int | None = None) -> Bus:
@@ -96,7 +95,7 @@ def test_a_rate_that_is_off_by_more_than_the_clocks_may_be_is_refused() -> None:
     assert "cannot make 500 kbit/s" in controller_timing(bus(500_000), 8_100_000, SHORT).problem
 
 
-def test_a_clock_that_the_user_names_must_make_the_rates(skin: Skin) -> None:
+def test_a_clock_that_the_user_names_must_make_the_rates(skin: Verb) -> None:
     assert skin("plan", "fd", "--timing")[0] == 0
     status, out, _ = skin("plan", "fd", "--timing", "--clock-hz", "40000000", "8000000")
     assert status == 1
@@ -104,7 +103,7 @@ def test_a_clock_that_the_user_names_must_make_the_rates(skin: Skin) -> None:
     assert "ip link set can0 up" in out
 
 
-def test_json_timing_has_every_bus_and_its_interface(skin: Skin) -> None:
+def test_json_timing_has_every_bus_and_its_interface(skin: Verb) -> None:
     status, out, _ = skin("plan", "steps-fd", "--timing", "-c", "can4", "--json")
     found = json.loads(out)
     assert status == 0

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -15,12 +14,9 @@ import pytest
 from dbc.contract import Contract
 from skin.layout import load_layout, parse_layout
 from tests.layouts import buses, layout_toml
+from tests.processes import Verb
 
 # The arguments stand where the command finds them, in sys.argv.
-pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
-
-
-Skin = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +43,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.heavy
-def test_json_plan_has_buses_and_wires(skin: Skin) -> None:
+def test_json_plan_has_buses_and_wires(skin: Verb) -> None:
     status, out, said = skin("plan", "--json")
     document = json.loads(out)
     assert (status, said) == (0, "")
@@ -66,7 +62,7 @@ def test_json_plan_has_buses_and_wires(skin: Skin) -> None:
 
 
 @pytest.mark.heavy
-def test_a_person_gets_a_table(skin: Skin) -> None:
+def test_a_person_gets_a_table(skin: Verb) -> None:
     status, out, _ = skin("plan", "fd")
     assert status == 0
     assert "load, touched / worst" in out
@@ -76,7 +72,7 @@ def test_a_person_gets_a_table(skin: Skin) -> None:
 
 
 @pytest.mark.heavy
-def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_path: Path) -> None:
+def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Verb, tmp_path: Path) -> None:
     path = tmp_path / "fast.toml"
     path.write_text(layout_toml(64, 64, sync={"rate_hz": 150.0}, bus=buses(64, 64)))
     status, out, _ = skin("plan", path)
@@ -84,7 +80,7 @@ def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_pat
     assert "bits a second are missing" in " ".join(out.split())
 
 
-def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
+def test_a_search_writes_the_layout(skin: Verb, tmp_path: Path) -> None:
     path = tmp_path / "palm.toml"
     status, out, said = skin("plan", "--taxels", 1024, "--rate", 100, "--buses", 1, "--out", path)
     assert (status, out) == (0, f"{path}\n")
@@ -102,7 +98,7 @@ def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
     assert predicted["psnr_image_db"] > predicted["psnr_sensor_db"] + 10
 
 
-def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
+def test_a_search_without_a_result_says_what_is_missing(skin: Verb) -> None:
     arguments = ("plan", "--taxels", 4096, "--rate", 100, "--buses", 1, "--can", "classic")
     status, out, said = skin(*arguments)
     assert (status, out) == (1, "")
@@ -118,7 +114,7 @@ def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["plan", "--taxels", "50"], "64 to 65536"),
+        (["plan", "--taxels", "-5"], "expected 64 to 65536 taxels, got -5"),
         (["plan", "--taxels", "24x300"], "256 or less"),
         (["plan", "--taxels", "many"], "a number, ROWSxCOLUMNS, or a file of taxels"),
         (["plan", "--rate", "50"], "a search needs --taxels"),
@@ -135,7 +131,7 @@ def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
         (["load", "--seconds", "inf"], "--seconds needs a number above 0"),
     ],
 )
-def test_wrong_input_is_one_line_and_status_2(skin: Skin, arguments: list[str], said: str) -> None:
+def test_wrong_input_is_one_line_and_status_2(skin: Verb, arguments: list[str], said: str) -> None:
     status, out, words = skin(*arguments)
     assert (status, out) == (2, "")
     assert said in words
@@ -143,7 +139,7 @@ def test_wrong_input_is_one_line_and_status_2(skin: Skin, arguments: list[str], 
 
 
 @pytest.mark.heavy
-def test_load_of_a_log(skin: Skin, log: Path) -> None:
+def test_load_of_a_log(skin: Verb, log: Path) -> None:
     status, out, _ = skin("load", log, "--json")
     loads = json.loads(out)["buses"]
     assert status == 0
@@ -157,7 +153,7 @@ def test_load_of_a_log(skin: Skin, log: Path) -> None:
 
 
 @pytest.mark.heavy
-def test_check_of_a_log(skin: Skin, log: Path, tmp_path: Path) -> None:
+def test_check_of_a_log(skin: Verb, log: Path, tmp_path: Path) -> None:
     assert skin("load", log, "--check") == (0, "", "")
     lines = log.read_text().splitlines()
     broken = tmp_path / "broken.log"
@@ -170,7 +166,7 @@ def test_check_of_a_log(skin: Skin, log: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.heavy
-def test_a_log_of_another_layout_is_refused_or_noticed(skin: Skin, log: Path, tmp_path: Path) -> None:
+def test_a_log_of_another_layout_is_refused_or_noticed(skin: Verb, log: Path, tmp_path: Path) -> None:
     status, out, said = skin("load", log, "--layout", "one-bus-12bit", "-c", "vcan0")
     assert (status, said.count("Give the right one with --layout")) == (0, 1)
     fd = tmp_path / "fd.log"
@@ -197,7 +193,7 @@ def test_waiting_for_a_bus_ends_with_a_signal(number: int, status: int, tmp_path
     assert (process.returncode, out, said) == (status, "", "")
 
 
-def test_layout_is_explained_and_drawn(skin: Skin, tmp_path: Path) -> None:
+def test_layout_is_explained_and_drawn(skin: Verb, tmp_path: Path) -> None:
     (tmp_path / "mat.toml").write_text(layout_toml(10, 10, name="mat", measurement={"wiring": "board"}))
     code, shown, _ = skin("layout", "check", str(tmp_path / "mat.toml"), "--json")
     about = json.loads(shown)
@@ -210,7 +206,7 @@ def test_layout_is_explained_and_drawn(skin: Skin, tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_new_layout_is_what_its_file_says(skin: Skin, tmp_path: Path) -> None:
+def test_a_new_layout_is_what_its_file_says(skin: Verb, tmp_path: Path) -> None:
     lines = [f"{0.004 * (taxel % 6):.3f},{0.004 * (taxel // 6):.3f},0,{taxel // 10}" for taxel in range(30)]
     (tmp_path / "pad.csv").write_text("x_m,y_m,z_m,board\n" + "\n".join(lines) + "\n")
     made = tmp_path / "strip.toml"
@@ -235,7 +231,7 @@ def test_a_new_layout_is_what_its_file_says(skin: Skin, tmp_path: Path) -> None:
     assert parse_layout(shown.encode(), "shown").sending == "steps"
 
 
-def test_a_design_takes_taxels_at_positions(skin: Skin, tmp_path: Path) -> None:
+def test_a_design_takes_taxels_at_positions(skin: Verb, tmp_path: Path) -> None:
     lines = [f"{0.004 * (taxel % 16):.3f},{0.004 * (taxel // 16):.3f},0" for taxel in range(256)]
     (tmp_path / "pad.csv").write_text("x_m,y_m,z_m\n" + "\n".join(lines) + "\n")
     code, shown, _ = skin("plan", "--taxels", str(tmp_path / "pad.csv"))

@@ -17,8 +17,8 @@ from dbc.frame import Frames
 from dbc.patch_filter import SAMPLE_NS
 from evaluation.schemes.wire import heartbeats
 from nodes.steps.simulated import SimulatedNodes, sync_frames
-from tests.bandwidth.conftest import Skin
 from tests.layouts import STEPPED, buses, layout_toml, small_layout
+from tests.processes import Verb
 
 MS, TICKS = 1_000_000, 5000
 TABLES = {**STEPPED, "bus": buses(2, names=["arm"])}
@@ -82,7 +82,7 @@ def test_without_syncs_slots_cannot_be_told(sent: Frames) -> None:
 
 
 def test_the_load_of_a_log_is_that_of_its_frames_by_node(
-    skin: Skin, sent: Frames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    skin: Verb, sent: Frames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bandwidth.plan.touched_load", lambda _contract, _bus: 0.0625)
     layout, log = tmp_path / "arm.toml", tmp_path / "arm.log"

@@ -13,6 +13,7 @@ import can
 import numpy as np
 import pytest
 
+from bus.bit_timing import choose_timing
 from bus.error_frames import State
 from bus.link import open_link
 from bus.python_can import PythonCanLink
@@ -125,6 +126,17 @@ def test_pcan_gets_the_timing_of_can_fd_and_ends_bus_off_by_itself(adapters: Ada
     adapters.link("pcan", 1_000_000, fd=True, options={"auto_reset": False, "f_clock_mhz": 20})
     assert "timing" not in adapters.newest.options
     assert adapters.newest.options["auto_reset"] is False
+
+
+def test_both_phases_have_one_prescaler_where_the_clock_allows_and_the_shortest_quanta() -> None:
+    for clock_hz, rates_hz, prescalers in (
+        (16_000_000, [500_000, 500_000], (2, 2)),
+        (20_000_000, [250_000, 500_000], (5, 4)),
+        (80_000_000, [1_000_000, 5_000_000], (1, 1)),
+    ):
+        timing = choose_timing(clock_hz, rates_hz)
+        assert timing is not None
+        assert (timing["nom_brp"], timing["data_brp"]) == prescalers
 
 
 def test_rates_that_the_clock_of_can_fd_cannot_make_are_refused(adapters: Adapters) -> None:

@@ -1,7 +1,6 @@
 """``skin tare`` and ``skin calibration`` with a gateway and of files, and their errors."""
 
 import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,11 +23,11 @@ from canskin.description import LAYOUT as LAYOUT_QUESTION
 from canskin.errors import BusError, InputError, RunError
 from canskin.fabric import Fabric, Reply
 from canskin.question import Question
-from shell.command import main
 from shell.skin_options import SkinOptions, join
 from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration, parse_calibration
 from skin.defects import SumGains
 from tests.calibration.helpers import LAYOUT, PHI
+from tests.processes import Verb
 
 SUMS, TAXELS = PHI.shape
 STATUS = CalibrationStatus(
@@ -238,14 +237,8 @@ def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
         ),
     ],
 )
-@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
-def test_wrong_input_is_one_line_and_exit_code_2(
-    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["skin", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    shown = capsys.readouterr()
-    assert ended.value.code == 2
-    assert said in shown.err
-    assert len(shown.err.splitlines()) == 1
+def test_wrong_input_is_one_line_and_exit_code_2(arguments: list[str], said: str, skin: Verb) -> None:
+    code, _, told = skin(*arguments)
+    assert code == 2
+    assert said in told
+    assert len(told.splitlines()) == 1

@@ -123,6 +123,11 @@ STORIES: dict[str, tuple[list[tuple[int, Felt]], Floats | float, Floats | float]
         HAND,
     ),
     "what fell under a touch comes back at once": ([(40, HAND), (8, HAND - PATCH), (4, HAND)], 0.0, HAND),
+    "a press of twice what fell is a touch": (
+        [(40, HAND), (8, HAND - PATCH), (4, HAND + 2 * PATCH)],
+        -PATCH,
+        HAND + 3 * PATCH,
+    ),
     "a slow rise of all taxels is followed": ([(480, slowly(2e-3, 480))], 2e-3, 0.0),
     "a fast rise of all taxels is a press": ([(400, 2e-3)], 0.0, 2e-3),
     "the slope of a patch does not run on": (

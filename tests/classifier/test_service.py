@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from canskin.fabric import Fabric, Mailbox
-from canskin.messages import LABEL, MEASUREMENT, Label, Measurement, Topic
+from canskin.fabric import Fabric
+from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
@@ -19,6 +19,7 @@ from shell.service import StopSignal
 from skin.layout import Layout, Sync
 from skin.phi import Sbhe
 from tests import messages as make
+from tests.messages import Published
 from tests.processes import PATIENCE_S
 
 
@@ -120,22 +121,17 @@ def test_labels_settle_by_the_time_of_the_samples_where_it_is_that_of_the_skin(
     assert timed.times_ns == expected
 
 
-class Waiting:
-    """An exchange whose only mailbox is filled by the test."""
+class Waiting(Published):
+    """Ends the service with the label of the cycle `last`."""
 
     def __init__(self, stop: StopSignal, last: int) -> None:
-        self.mailboxes: list[Mailbox[Any]] = []
-        self.labelled: list[int] = []
+        super().__init__()
         self._stop, self._last = stop, last
 
-    def publish(self, _topic: Topic, label: Any) -> None:
-        self.labelled.append(label.cycle)
-        if label.cycle == self._last:
+    def publish(self, topic: object, message: Any) -> None:
+        super().publish(topic, message)
+        if message.cycle == self._last:
             self._stop.set()
-
-    def mailbox(self, _topic: Topic, depth: int = 4) -> Mailbox[Any]:
-        self.mailboxes.append(Mailbox(depth))
-        return self.mailboxes[0]
 
 
 def test_after_a_pause_the_newest_measurements_that_waited_get_labels(measurement: Measurement, layout: Layout) -> None:
@@ -146,7 +142,7 @@ def test_after_a_pause_the_newest_measurements_that_waited_get_labels(measuremen
     for cycle in range(30):
         exchange.mailboxes[0].put(msgspec.structs.replace(measurement, cycle=cycle))
     service.run(stop)
-    assert exchange.labelled == list(range(10, 30))
+    assert [each.cycle for each in exchange.messages] == list(range(10, 30))
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(1, 4), (100, 4), (200, 8), (500, 20), (1000, 40)])

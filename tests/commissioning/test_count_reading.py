@@ -127,6 +127,18 @@ def test_another_master_is_refused() -> None:
     assert all(can_id in (0x080, 0x701, 0x702) for can_id, _ in bench.wires[0].log)
 
 
+def test_boards_have_two_milliseconds_to_read_their_taxels(small: Contract) -> None:
+    sent: list[int] = []
+    sends = dict.fromkeys(range(len(small.layout.bus)), lambda each: sent.append(int(each["can_id"][0])))
+    reading = CountReading(small, sends, 0.0, rest_s=1.0, stroke_s=1.0, say=lambda _: None)
+    asked = []
+    for now_s in (0.0, 1.0, 1.0019, 1.002):
+        reading.tick(now_s)
+        asked.append(any(0x600 < each < 0x680 for each in sent))
+    assert 0x080 in sent
+    assert asked == [False, False, False, True]
+
+
 def test_frames_with_identifiers_of_29_bits_are_no_sync_of_another_master(small: Contract) -> None:
     sends = dict.fromkeys(range(len(small.layout.bus)), len)
     reading = CountReading(small, sends, 0.0, rest_s=1.0, stroke_s=1.0, say=lambda _: None)

@@ -23,6 +23,7 @@ from nodes.node import SkinNode
 from nodes.segment import Boards
 from nodes.sending import sending_of
 from tests.bus.harness import frame
+from tests.commissioning.wrong_signatures import computed_once, without_offsets
 from tests.layouts import buses, small_contract
 from tests.nodes.firmware.twins import needs_compiler
 from tests.world import Shaking, Skin
@@ -214,18 +215,6 @@ def sums(alter: Callable[[np.ndarray], object]) -> Spoil:
     return spoil
 
 
-def frozen(bench: Checked) -> None:
-    """A board that computes 2009h once."""
-    kept = bench.node.objects.readers[od.CALIBRATION_SIGNATURE](0)
-    bench.node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda _: kept
-
-
-def without_offsets(bench: Checked) -> None:
-    """A board whose 2009h does not cover offsets."""
-    covered = bench.node.objects._signed[od.CALIBRATION_SIGNATURE]
-    bench.node.objects._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
-
-
 def shows(pattern: int) -> Spoil:
     return lambda bench: bench.node.local.set_data(od.TEST_PATTERN, 0, bytes((pattern,)))
 
@@ -276,7 +265,7 @@ SPOILT: dict[str, tuple[dict[str, Any] | Spoil, list[str], list[str], int]] = {
         ["no signature (2006h): a proof reads every object"],
         16,
     ),
-    "signature 2009h computed once": (frozen, ["signature (2009h) is ", "with other gains and offsets"], [], 16),
+    "signature 2009h computed once": (computed_once, ["signature (2009h) is ", "with other gains and offsets"], [], 16),
     "signature 2009h without offsets": (without_offsets, ["signature (2009h) is ", "of its objects"], [], 16),
     "no size of objects": (hears(0x581, lambda each: without_size(each["data"])), [], [], 16),
     "a pattern of nine bytes": (

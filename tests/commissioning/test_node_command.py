@@ -1,6 +1,5 @@
 """``skin node``: its errors, its report, and how it leads a talk."""
 
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +11,7 @@ from commissioning import talk
 from commissioning.node_check_command import show
 from commissioning.node_frames import NodeReport
 from commissioning.node_options import NodeOptions, lead
-from shell.command import main
+from tests.processes import Verb
 
 
 @pytest.mark.parametrize(
@@ -34,24 +33,17 @@ from shell.command import main
         (["update", "nothing.bin", "--all"], "nothing.bin: cannot read the program"),
     ],
 )
-def test_wrong_input_is_one_line_and_exit_code_2(
-    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["skin", "node", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    shown = capsys.readouterr()
-    assert ended.value.code == 2
-    assert said in shown.err
-    assert len(shown.err.splitlines()) == 1
+def test_wrong_input_is_one_line_and_exit_code_2(arguments: list[str], said: str, skin: Verb) -> None:
+    code, _, told = skin("node", *arguments)
+    assert code == 2
+    assert said in told
+    assert len(told.splitlines()) == 1
 
 
-def test_objects_are_listed_without_a_node(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["skin", "node", "objects", "heartbeat"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    assert "1017h:0" in capsys.readouterr().out
+def test_objects_are_listed_without_a_node(skin: Verb) -> None:
+    code, out, _ = skin("node", "objects", "heartbeat")
+    assert code == 0
+    assert "1017h:0" in out
 
 
 @pytest.mark.parametrize(
@@ -63,21 +55,14 @@ def test_objects_are_listed_without_a_node(monkeypatch: pytest.MonkeyPatch, caps
     ],
 )
 def test_a_bus_has_the_channel_that_the_gateway_gives_it(
-    arguments: list[str],
-    channel: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
+    arguments: list[str], channel: str, skin: Verb, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
     lines = (
         "[DeviceInfo] [MandatoryObjects] SupportedObjects=1 1=0x1000 [1000] ParameterName=Type ObjectType=7 DataType=7"
     )
     Path("drive.eds").write_text(f"{lines} AccessType=ro".replace(" ", "\n"))
-    monkeypatch.setattr(sys, "argv", ["skin", "node", *arguments, "-i", "socketcan", "-c", "nothing7"])
-    with pytest.raises(SystemExit):
-        main()
-    assert channel in capsys.readouterr().err
+    assert channel in skin("node", *arguments, "-i", "socketcan", "-c", "nothing7")[2]
 
 
 @pytest.mark.parametrize(
@@ -101,18 +86,18 @@ def test_milliseconds_are_told_of_tpdos_alone(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out == "bus1, node 7: keeps the contract (9 objects, 0 TPDOs)\n"
 
 
-def skin(*names: str) -> Any:
+def buses(*names: str) -> Any:
     return SimpleNamespace(bus=[SimpleNamespace(name=name) for name in names])
 
 
 def test_the_only_bus_needs_no_name() -> None:
-    assert NodeOptions(bus=None).bus_number(skin("palm")) == 0
-    assert NodeOptions(bus="palm").bus_number(skin("palm")) == 0
-    assert NodeOptions(bus="c").bus_number(skin("a", "b", "c")) == 2
+    assert NodeOptions(bus=None).bus_number(buses("palm")) == 0
+    assert NodeOptions(bus="palm").bus_number(buses("palm")) == 0
+    assert NodeOptions(bus="c").bus_number(buses("a", "b", "c")) == 2
     with pytest.raises(InputError, match="expected --bus with one of palm, got 'a'"):
-        NodeOptions(bus="a").bus_number(skin("palm"))
+        NodeOptions(bus="a").bus_number(buses("palm"))
     with pytest.raises(InputError, match="expected --bus with one of a, b, got none"):
-        NodeOptions(bus=None).bus_number(skin("a", "b"))
+        NodeOptions(bus=None).bus_number(buses("a", "b"))
 
 
 class Check:

@@ -4,7 +4,6 @@ import json
 import sys
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from commissioning import scan_command, talk
 from commissioning.scan import Scan
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.frame import Frames, frames
-from shell.command import main
 from tests.bus.harness import frame
+from tests.processes import Verb
 
 DRIVE = 5
 SEGMENT = b"\x60" + bytes(7)
@@ -81,30 +80,25 @@ class Clock:
 
 
 @pytest.fixture
-def run_scan(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    def run(link: Heard, *arguments: str, turns: int = 10**6) -> int:
+def run_scan(skin: Verb, monkeypatch: pytest.MonkeyPatch) -> Verb:
+    def run(link: Heard, *arguments: str, turns: int = 10**6) -> tuple[int, str, str]:
         clock = Clock(turns)
         monkeypatch.setattr(options, "open_link", lambda *_, **__: link)
         monkeypatch.setattr(scan_command, "StopSignal", lambda: clock)
         for module in (scan_command, talk):
             monkeypatch.setattr(module, "time", clock)
         monkeypatch.setattr(talk, "select", SimpleNamespace(select=lambda *_: None))
-        monkeypatch.setattr(sys, "argv", ["skin", "scan", "-i", "socketcan", "-c", "can0", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        code: Any = ended.value.code
-        return int(code or 0)
+        return skin("scan", "-i", "socketcan", "-c", "can0", *arguments)
 
     return run
 
 
-@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
-def test_ctrl_c_shows_what_is_known(run_scan: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_shows_what_is_known(run_scan: Verb) -> None:
     beat = frame(HEARTBEAT_BASE + DRIVE, b"\x05")
-    assert run_scan(Heard(frames(0), beat, frame(SYNC_COB_ID)), turns=8) == 0
-    shown = capsys.readouterr()
-    assert "heartbeat of 5" in shown.out
-    assert "stopped before the scan was done" in shown.err
+    code, out, told = run_scan(Heard(frames(0), beat, frame(SYNC_COB_ID)), turns=8)
+    assert code == 0
+    assert "heartbeat of 5" in out
+    assert "stopped before the scan was done" in told
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 0.0])
@@ -116,19 +110,16 @@ def test_one_producer_beside_sync_may_be_one_beside_a_gateway(
     assert (hint in capsys.readouterr().out.splitlines()) == (rate_hz > 0)
 
 
-@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
-def test_what_came_while_the_links_were_opened_counts_for_no_rate(
-    run_scan: Callable[..., int], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_came_while_the_links_were_opened_counts_for_no_rate(run_scan: Verb) -> None:
     waiting = np.concatenate([frame(SYNC_COB_ID)] * 50)
-    assert run_scan(Heard(waiting, frame(SYNC_COB_ID)), "--listen", "--seconds", "0.5", "--json") == 0
-    (found,) = json.loads(capsys.readouterr().out)
+    code, out, _ = run_scan(Heard(waiting, frame(SYNC_COB_ID)), "--listen", "--seconds", "0.5", "--json")
+    assert code == 0
+    (found,) = json.loads(out)
     assert (found["sync_rate_hz"], found["identifiers"][0]["frames"]) == (2.0, 1)
 
 
 @pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
-def test_a_layout_has_the_bit_rates(
-    option: str, run_scan: Callable[..., int], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_scan(Heard(), "--layout", "fd", option, "500000") == 2
-    assert "a layout has the rates" in capsys.readouterr().err
+def test_a_layout_has_the_bit_rates(option: str, run_scan: Verb) -> None:
+    code, _, told = run_scan(Heard(), "--layout", "fd", option, "500000")
+    assert code == 2
+    assert "a layout has the rates" in told

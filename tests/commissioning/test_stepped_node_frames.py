@@ -19,6 +19,7 @@ from nodes.steps.firmware import FirmwarePatches
 from nodes.virtual_boards import VirtualBoards
 from skin.layout import changed
 from skin.sources import Frame
+from tests.commissioning.wrong_signatures import computed_once, without_offsets
 from tests.nodes.firmware.stepped_twins import contract_of
 from tests.nodes.firmware.twins import needs_compiler
 from tests.world import Skin
@@ -91,35 +92,32 @@ def test_a_right_board_keeps_the_contract_in_every_check_and_then_feels_nothing(
         assert in_c or not bench.hardware.sums.any()  # boards in C tell theirs in the next check
 
 
-def swapped_rows(bench: Checked) -> None:
-    order = bench.hardware.filter._order = bench.hardware.filter._order.copy()
-    order[[9, 10]] = order[[10, 9]]
+def tells(alter: Callable[[Any], object]) -> Callable[[Checked], None]:
+    """A board whose sums are altered, shape (boards, sums)."""
+
+    def spoil(bench: Checked) -> None:
+        take = bench.hardware.filter.take
+
+        def taken(sample_n: Any) -> None:
+            take(sample_n)
+            alter(bench.hardware.filter.sums_n)
+
+        bench.hardware.filter.take = taken
+
+    return spoil
 
 
-def swapped_groups(bench: Checked) -> None:
-    order = bench.hardware.filter._order = bench.hardware.filter._order.copy()
-    order[16:24], order[24:] = order[24:].copy(), order[16:24].copy()
+def exchanged(one: slice, other: slice) -> Callable[[Checked], None]:
+    def alter(sums_n: Any) -> None:
+        sums_n[:, one], sums_n[:, other] = sums_n[:, other].copy(), sums_n[:, one].copy()
+
+    return tells(alter)
 
 
-def wrong_sign(bench: Checked) -> None:
-    take = bench.hardware.filter.take
-
-    def taken(sample_n: Any) -> None:
-        take(sample_n)
-        bench.hardware.filter.sums_n[:, 20] *= -1
-
-    bench.hardware.filter.take = taken
-
-
-def other_unit(bench: Checked) -> None:
-    """A board whose words have another unit."""
-    take = bench.hardware.filter.take
-
-    def taken(sample_n: Any) -> None:
-        take(sample_n)
-        bench.hardware.filter.sums_n[:] *= 1.03
-
-    bench.hardware.filter.take = taken
+SWAPPED_ROWS, SWAPPED_GROUPS = exchanged(slice(9, 10), slice(10, 11)), exchanged(slice(16, 24), slice(24, 32))
+WRONG_SIGN = tells(lambda sums_n: sums_n[:, 20].__imul__(-1))
+OTHER_UNIT = tells(lambda sums_n: sums_n.__imul__(1.03))
+QUARTER_SCALE = tells(lambda sums_n: sums_n.__imul__(0.25))
 
 
 def deaf_rule(bench: Checked) -> None:
@@ -162,32 +160,6 @@ def ignores(index: int) -> Callable[[Checked], None]:
     return spoil
 
 
-def half_scale(bench: Checked) -> None:
-    sample = bench.hardware._sensors.sample
-
-    def sampled(tick_ns: int) -> Any:
-        return sample(tick_ns) / 4
-
-    bench.hardware._sensors.sample = sampled
-
-
-def unsigned_gains(bench: Checked) -> None:
-    """A board whose 2009h does not cover the offsets."""
-    node = bench.segments[0].boards.nodes[0]
-    node.objects._signed[od.CALIBRATION_SIGNATURE] = [
-        each for each in node.objects._signed[od.CALIBRATION_SIGNATURE] if each.index != od.OFFSET
-    ]
-
-
-def stale_signature(bench: Checked) -> None:
-    """A board that computes 2009h once."""
-    node = bench.segments[0].boards.nodes[0]
-    read, kept = node.objects.readers[od.CALIBRATION_SIGNATURE], list[int]()
-    node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda subindex: (
-        kept[0] if kept else kept.append(read(subindex)) or kept[0]
-    )
-
-
 def sent(spoil: Callable[[np.void, int], object]) -> Callable[[Checked], None]:
     """Alter each frame of sums on its way: called with frame and kind of its word; True loses it."""
 
@@ -213,18 +185,18 @@ def later(each: np.void, _kind: int) -> None:
 
 
 MUTANTS = [
-    (swapped_rows, "offsets in place of the taxels: tells", " as sum 10, expected "),
-    (swapped_groups, " as sum 17, expected ", ""),
-    (wrong_sign, " as sum 21, expected ", ""),
-    (other_unit, "offsets in place of the taxels: tells ", ""),
+    (SWAPPED_ROWS, "offsets in place of the taxels: tells", " as sum 10, expected "),
+    (SWAPPED_GROUPS, " as sum 17, expected ", ""),
+    (WRONG_SIGN, " as sum 21, expected ", ""),
+    (OTHER_UNIT, "offsets in place of the taxels: tells ", ""),
     (infinite_noise, "full scale: the noise (2035h) is no number of newtons: 00 00 80 7f", ""),
     (deaf_rule, "test pattern zero: tells ", ", expected 0.00 mN"),
     (ignores(od.TEST_PATTERN), "test pattern full scale: half of the taxels read less than half of full scale", ""),
     (ignores(od.GAIN), "offsets in place of the taxels: tells ", ""),
     (ignores(od.OFFSET), "offsets in place of the taxels: tells ", ""),
-    (half_scale, "test pattern full scale: half of the taxels read less than half of full scale", ""),
-    (unsigned_gains, "the signature (2009h) is ", ""),
-    (stale_signature, "of its objects, with other gains and offsets", ""),
+    (QUARTER_SCALE, "test pattern full scale: half of the taxels read less than half of full scale", ""),
+    (without_offsets, "the signature (2009h) is ", ""),
+    (computed_once, "of its objects, with other gains and offsets", ""),
     (sent(later), "full scale: TPDO 1 (181h) names slot ", ", expected "),
     (sent(lambda each, _: each.__setitem__("length", 7)), "TPDO 1 (181h) has 7 bytes, expected 8", ""),
     (sent(lambda each, _: each["data"].__setitem__(0, 0)), "begins with 0, expected a slot from 1 to 240", ""),
@@ -249,7 +221,7 @@ def test_a_wrong_board_is_named(spoil: Callable[[Checked], None], words: str, mo
         assert each in said, said
 
 
-@pytest.mark.parametrize("spoil", [swapped_rows, swapped_groups, wrong_sign, other_unit])
+@pytest.mark.parametrize("spoil", [SWAPPED_ROWS, SWAPPED_GROUPS, WRONG_SIGN, OTHER_UNIT])
 def test_a_wrong_board_on_can_fd_is_named(spoil: Callable[[Checked], None]) -> None:
     bench = Checked(contract_of("steps-fd"))
     spoil(bench)

@@ -192,5 +192,7 @@ def test_times_are_exact_at_any_rate() -> None:
     nominal, data = (int(bits[0]) for bits in wire_bits(one))
     assert frame_time_ns(one, 1)[0] == (nominal + data) * 10**9
     assert frame_time_ns(one, 4, 8)[0] == nominal * 250_000_000 + data * 125_000_000
+    classic = frame(0x123, bytes(8))
+    assert frame_time_ns(classic, 4)[0] == int(wire_bits(classic)[0][0]) * 250_000_000
     assert nominal_ns(7, 1) == 7_000_000_000
     assert frame_time_ns(one, 1, stuffing="none")[0] == (29 + 97) * 10**9

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dbc.board import board
-from dbc.board_sums import node_payloads
+from dbc.board_sums import PATTERN_FULL, PATTERN_OFF, PATTERN_RAMP, PATTERN_ZERO, node_payloads, pattern_counts
 from dbc.contract import Contract
 from dbc.vectors import vectors_text
 from skin.layout import changed, load_layout
@@ -27,3 +27,10 @@ def test_frames_of_all_turns_are_listed_and_carry_the_sums_of_the_case(name: str
             sums = np.array(case["sums"], np.int32)
             assert frames[tpdo.cob_id] == node_payloads(contract, node, counter, sums)[tpdo.cob_id]
             assert frames[tpdo.cob_id][0] == counter
+
+
+def test_a_pattern_takes_the_place_of_the_counts() -> None:
+    """Four taxels of 0 to 2 counts."""
+    assert pattern_counts(PATTERN_OFF, 4, 2) is None
+    for pattern, counts in ((PATTERN_ZERO, [0, 0, 0, 0]), (PATTERN_RAMP, [0, 1, 2, 2]), (PATTERN_FULL, [2, 2, 2, 2])):
+        np.testing.assert_array_equal(pattern_counts(pattern, 4, 2), counts)

@@ -11,11 +11,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from canskin.errors import RunError
 from demo.folder import PREFIX
 from demo.options import DemoOptions
 from demo.run import Run
 from demo.score import CycleImages, Score
 from demo.supervisor import Supervisor
+from shell.service import StopSignal
 from skin.layout import load_layout
 from tests.processes import Processes
 
@@ -100,10 +102,11 @@ def test_a_run_has_the_classifier_that_is_asked_for(
 ) -> None:
     started: dict[str, tuple[str, ...]] = {}
     monkeypatch.setattr(Supervisor, "start", lambda _self, name, *given, **_: started.update({name: given}))
-    run = Run(LAYOUT, options, tmp_path)
-    run._start_services("tcp/hub")
+    monkeypatch.setattr("demo.run.READY_PATIENCE_S", 0.0)
+    awaited = "nodes, reconstructor" if known is None else "classifier, nodes, reconstructor"
+    with pytest.raises(RunError, match=f"^{awaited} did not become ready"):
+        Run(LAYOUT, options, tmp_path).execute(StopSignal())
     assert list(started.get("classifier", ())[-2:]) == (known or [])
-    assert ("classifier" in run._missing()) == ("classifier" in started) == (known is not None)
 
 
 @pytest.mark.heavy

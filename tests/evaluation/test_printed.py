@@ -103,6 +103,8 @@ def test_ours_is_the_one_row_that_has_the_cell() -> None:
 @pytest.mark.heavy
 def test_what_is_not_reached_comes_first_and_a_file_keeps_all(tmp_path: Path, settings: dict[str, float]) -> None:
     rows = [{"setting": name, "ours": 0.0 if name == "rotations" else ours} for name, ours in settings.items()]
+    for name in ("banana", "cup", "drill", "largeclamp", "mustard"):
+        (tmp_path / f"{name}.ply").touch()
     kept = reached.stored({"settings": rows}, Options(meshes=tmp_path, seed=3))
     (tmp_path / "paper.json").write_text(reached.encoded(kept))
     assert reached.read(tmp_path / "paper.json") == kept

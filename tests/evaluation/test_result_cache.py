@@ -1,7 +1,10 @@
 """Measured cells: their order, what is kept, and what is measured again."""
 
+import pickle
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from canskin.errors import InputError
@@ -15,6 +18,12 @@ _calls: list[int] = []
 def double(number: int) -> dict[str, int]:
     _calls.append(number)
     return {"double": 2 * number}
+
+
+def kinds(size: int) -> dict[str, Any]:
+    _calls.append(size)
+    part = np.float64(0.1)
+    return {"nan": np.nan, "pair": (1, np.inf), "array": np.full(size, part), "count": np.int64(size), "part": part}
 
 
 CELLS = [{"number": number} for number in (3, 1, 2)]
@@ -43,9 +52,19 @@ def test_a_run_that_was_cut_short_goes_on(tmp_path: Path) -> None:
 def test_a_damaged_result_is_measured_again(tmp_path: Path) -> None:
     options = Options(out=tmp_path)
     measure_cells(double, CELLS, options, "cells")
-    next(tmp_path.rglob("output.pkl")).write_bytes(b"\x80")
+    kept = [each for each in tmp_path.rglob("*") if each.is_file()]
+    kept[0].write_bytes(pickle.dumps(DOUBLED[0]))
+    kept[1].write_bytes(b"")
     assert measure_cells(double, CELLS, options, "cells") == DOUBLED
-    assert len(_calls) == 4
+    assert len(_calls) == 5
+
+
+def test_what_is_kept_is_what_was_measured(tmp_path: Path) -> None:
+    measured = str(measure_cells(kinds, [{"size": 2}], Options(), "cells"))
+    for _ in range(2):
+        assert str(measure_cells(kinds, [{"size": 2}], Options(out=tmp_path), "cells")) == measured
+    assert measured == "[{'nan': nan, 'pair': [1, inf], 'array': [0.1, 0.1], 'count': 2, 'part': 0.1}]"
+    assert _calls == [2, 2]
 
 
 def test_other_code_is_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,6 +85,8 @@ def test_options_that_cannot_be_used(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="expected a folder of meshes"):
         Options(meshes=tmp_path / "none")
+    with pytest.raises(InputError, match=r"no mesh banana\.ply"):
+        Options(meshes=tmp_path)
     with pytest.raises(InputError, match="is a file"):
         Options(out=tmp_path / "file")
     with pytest.raises(InputError, match="draws needs a whole number of 1 or more: got 0"):

@@ -262,7 +262,7 @@ def test_node_that_proves_nothing_any_more_is_believed_for_the_stated_time(skin:
     assert skin.used == {1, 2}
     skin.run(4 * TICK_S)
     assert skin.used == {2}
-    assert skin.lines_now() == ["node 1 on bus0 not proven for 5 s"]
+    assert skin.lines_now() == ["node 1 on bus0 not proven for 5 s [node-unproven]"]
     default = NmtMaster(Contract.from_layout(load_layout()), 0, *[lambda *_: None] * 3)
     assert default.proof_limit_s == pytest.approx(4.9)
 
@@ -406,7 +406,7 @@ def test_emergency_explains_what_follows_soon(skin: Boards, told: list[bytes], a
         skin.hear(EMCY_BASE + 1, data.ljust(8, b"\0"))
     skin.now_s += ago_s
     skin.beat(1, NmtState.PRE_OPERATIONAL)
-    assert skin.lines_now() == [f"node 1 on bus0 left OPERATIONAL: pre-operational{words}"]
+    assert skin.lines_now() == [f"node 1 on bus0 left OPERATIONAL: pre-operational{words} [node-left]"]
 
 
 def test_emergencies_are_kept_with_their_codes(skin: Boards) -> None:
@@ -437,7 +437,7 @@ def test_a_node_is_silent_a_second_and_a_half_after_its_heartbeat(skin: Boards) 
     skin.master.tick(skin.now_s + 1.2601)
     assert skin.used == {2}
     assert skin.master.nmt.tolist() == [SILENT, NmtState.OPERATIONAL]
-    assert "node 1 on bus0 silent: no heartbeat for 1.5 s" in skin.lines_now()
+    assert "node 1 on bus0 silent: no heartbeat for 1.5 s [node-silent]" in skin.lines_now()
 
 
 def test_a_stopped_node_is_commanded_to_pre_operational_before_it_is_asked(skin: Boards) -> None:
@@ -451,8 +451,8 @@ def test_a_stopped_node_is_commanded_to_pre_operational_before_it_is_asked(skin:
     assert skin.commands[0] == (PRE_OPERATIONAL, 1)
     assert sorted(skin.commands[1:]) == [(START, 1), (START, 2)]
     assert skin.lines_now() == [
-        "node 1 on bus0 left OPERATIONAL: stopped",
-        "node 2 on bus0 left OPERATIONAL: state 6",
+        "node 1 on bus0 left OPERATIONAL: stopped [node-left]",
+        "node 2 on bus0 left OPERATIONAL: state 6 [node-left]",
         "nodes 1-2 on bus0 back after 0.1 s",
     ]
 
@@ -526,12 +526,12 @@ def test_a_silent_node_is_told_to_answer_before_it_is_asked_again_and_tried_as_a
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        (0x02, "left OPERATIONAL: stopped, by another master's NMT command"),
-        (0x80, "left OPERATIONAL: pre-operational, by another master's NMT command"),
-        (0x01, "booted again"),
-        (0x81, "booted again, reset by another master"),
-        (0x82, "booted again, reset by another master"),
-        (0x07, "booted again"),
+        (0x02, "left OPERATIONAL: stopped, by another master's NMT command [node-left]"),
+        (0x80, "left OPERATIONAL: pre-operational, by another master's NMT command [node-left]"),
+        (0x01, "booted again [node-booted]"),
+        (0x81, "booted again, reset by another master [node-booted]"),
+        (0x82, "booted again, reset by another master [node-booted]"),
+        (0x07, "booted again [node-booted]"),
     ],
 )
 def test_commands_of_another_master(command: int, said: str) -> None:

@@ -143,7 +143,10 @@ def test_gains_and_offsets_of_another_master_end_validity_at_once(
     check(world, 1.0)
     assert valid(world.measured[-1]).all()
     assert world.recalibrated == [(0, 1)]
-    assert "node 1 on bus0 doubted: another master writes its gains or offsets (2010h, 2011h)" in world.lines
+    assert (
+        "node 1 on bus0 doubted: another master writes its gains or offsets (2010h, 2011h) [node-changed]"
+        in world.lines
+    )
     assert DOUBTED in world.lines
 
 
@@ -291,7 +294,9 @@ def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     other_answers(world, {od.SIGNATURE: WRONG_SIGNATURE})
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
-    assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines
+    assert (
+        "node 1 on bus0 refused: its objects are right, but not their signature (2006h) [node-refused]" in world.lines
+    )
 
 
 def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:

@@ -4,19 +4,21 @@ import select
 import socket
 from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any, cast
 
-import msgspec
 import numpy as np
 import pytest
 
 from bus.link import State
-from canskin.messages import GatewayStatus, Measurement, Topic
+from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from gateway.calibration import GatewayCalibration
 from gateway.collector import Collector
 from gateway.service import GatewayService
+from shell.service import StopSignal
+from tests.messages import Published
 
 
 @pytest.fixture(autouse=True)
@@ -84,24 +86,17 @@ class Echoing:
         self._far.close()
 
 
-class Fabric:
-    """Takes messages; publishing the status takes as long as the test wants."""
+class Fabric(Published):
+    """Publishing the status takes as long as the test wants."""
 
     def __init__(self, clock: Clock) -> None:
+        super().__init__()
         self._clock = clock
         self.stall_s = 0.0
-        self.statuses: list[GatewayStatus] = []
-        self.measurements: list[Measurement] = []
 
-    def tell_scheduling(self, _: str) -> None:
-        """Nobody listens."""
-
-    def publish(self, _topic: Topic, message: msgspec.Struct) -> None:
-        if isinstance(message, Measurement):
-            self.measurements.append(message)
-        else:
-            assert isinstance(message, GatewayStatus)
-            self.statuses.append(message)
+    def publish(self, topic: object, message: Any) -> None:
+        super().publish(topic, message)
+        if isinstance(message, GatewayStatus):
             self._clock.now_s += self.stall_s
 
 
@@ -129,6 +124,10 @@ class Served:
     def now_s(self) -> float:
         return self.clock.now_s
 
+    @property
+    def statuses(self) -> list[GatewayStatus]:
+        return self.fabric.of(GatewayStatus)
+
 
 @pytest.fixture
 def served(small: Contract) -> Iterator[Served]:
@@ -151,7 +150,7 @@ def test_syncs_do_not_bunch_after_a_stall(served: Served) -> None:
     assert gaps_s.max() > 2 * period_s
     assert gaps_s.min() >= 0.5 * period_s
     assert served.loop.sync.skipped > 0
-    assert served.fabric.statuses[-1].syncs_skipped > 0
+    assert served.statuses[-1].syncs_skipped > 0
 
 
 @pytest.mark.parametrize(
@@ -174,19 +173,19 @@ def test_fault_of_a_link_is_told_once_in_log_and_status_and_so_is_its_end(
     trouble: str,
 ) -> None:
     """It comes and goes some times: that is one fault."""
-    broken, statuses = served.links[1], served.fabric.statuses
+    broken = served.links[1]
     for _ in range(3):
         broken.takes, broken.state, broken.why = takes, state, why
         served.turn_until(served.now_s + 0.3)
-        buses = statuses[-1].buses
+        buses = served.statuses[-1].buses
         assert [bus.link for bus in buses] == ["active", link]
         assert not buses[0].trouble
         assert buses[1].trouble.startswith(trouble)
         broken.takes, broken.state, broken.why = True, State.ACTIVE, ""
         served.turn_until(served.now_s + 0.6)
-        assert [bus.link for bus in statuses[-1].buses] == ["active", "active"]
+        assert [bus.link for bus in served.statuses[-1].buses] == ["active", "active"]
     served.turn_until(served.now_s + 1.5)
-    assert not any(bus.trouble for bus in statuses[-1].buses)
+    assert not any(bus.trouble for bus in served.statuses[-1].buses)
     about = [line for line in capsys.readouterr().err.splitlines() if line.startswith("gateway: bus1 ")]
     assert len(about) == 2, about
     assert about[0].startswith(f"gateway: bus1 {trouble}")
@@ -195,15 +194,14 @@ def test_fault_of_a_link_is_told_once_in_log_and_status_and_so_is_its_end(
 
 
 def test_fault_shorter_than_a_look_is_told(served: Served, capsys: pytest.CaptureFixture[str]) -> None:
-    statuses = served.fabric.statuses
-    before = len(statuses)
-    while len(statuses) == before:
+    before = len(served.statuses)
+    while len(served.statuses) == before:
         served.turn(0.01)
     served.links[1].state = State.BUS_OFF
     served.service.turn()
     served.links[1].state = State.ACTIVE
     served.turn_until(60)
-    assert "bus_off" in {status.buses[1].link for status in statuses}
+    assert "bus_off" in {status.buses[1].link for status in served.statuses}
     assert capsys.readouterr().err.count("gateway: bus1 dead: the gateway's controller is bus-off") == 1
 
 
@@ -215,23 +213,23 @@ def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(
     monkeypatch.setattr(Clock, "step_s", 1e-3)
     served.service.run(SimpleNamespace(is_set=lambda: True))  # type: ignore[arg-type]
     assert not served.links[0].syncs_s
-    assert len(served.fabric.statuses) == 1
+    assert len(served.statuses) == 1
     stops = [(0, bytes((0x80, node.node_id))) for node in small.nodes]
     assert [each for link in served.links for each in link.sent] == stops
     loop = served.loop
     served.service.run(SimpleNamespace(is_set=lambda: loop.sync.sent > 3 and loop.in_flight > 0))  # type: ignore[arg-type]
     assert loop.in_flight == 0
-    assert len(served.fabric.measurements) == loop.sync.sent > 3
-    assert served.fabric.statuses[-1].cycles == len(served.fabric.measurements)
+    assert len(served.fabric.of(Measurement)) == loop.sync.sent > 3
+    assert served.statuses[-1].cycles == len(served.fabric.of(Measurement))
     assert [each for link in served.links for each in link.sent[-2:]] == stops
     for link in served.links:
         link.close()
 
 
 def test_status_is_published_five_times_a_second(served: Served) -> None:
-    first = len(served.fabric.statuses)
+    first = len(served.statuses)
     served.turn_until(served.now_s + 2.0, 0.002)
-    assert len(served.fabric.statuses) - first in {9, 10}
+    assert len(served.statuses) - first in {9, 10}
 
 
 def test_the_calibration_works_when_nothing_is_due_for_four_milliseconds(
@@ -244,5 +242,34 @@ def test_the_calibration_works_when_nothing_is_due_for_four_milliseconds(
         served.turn(0.001)
     assert len(spares_s) > 200
     assert min(spares_s) > 0.0039
+    for link in served.links:
+        link.close()
+
+
+def test_a_gateway_gives_signs_of_life_before_sync_and_then_for_cycles_alone(
+    small: Contract, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.service.request_real_time", lambda *_: "")
+    served, made, hung_turns = Served(small), list[int](), iter(range(100))
+    for name in ("send_sync", "measurements"):
+        closes = getattr(served.loop, name)
+        monkeypatch.setattr(served.loop, name, lambda *now, closes=closes: [] if hangs() else closes(*now))
+
+    def hangs() -> bool:
+        """Let no cycle close from the fifth on, until the service ends."""
+        return served.loop.gathering.published == 5 and not stop.is_set()
+
+    def is_set() -> bool:
+        served.clock.now_s += 0.01
+        if served.loop.gathering.published == 5 and next(hung_turns, None) is None:
+            stop.set()
+        return stop.is_set()
+
+    stop = StopSignal()
+    served.service.run(cast("StopSignal", SimpleNamespace(is_set=is_set)), made.append)
+    first = made.index(1)
+    assert made[:first] == [0] * first
+    assert first > 10
+    assert made[first:] == [1, 2, 3, 4, 5]
     for link in served.links:
         link.close()

@@ -301,12 +301,13 @@ def loses(lost: int, kind: str, silent: int = 1) -> Callable[[Skin], None]:
     return disturb
 
 
-def differs(kind: str) -> Callable[[Skin], None]:
-    """Two words of a slot differ, as of two nodes with one identifier that were started together."""
+def differs(kind: str, ahead: int = 0) -> Callable[[Skin], None]:
+    """Two words of a slot differ, as of two nodes with one identifier, of which one has sent `ahead` words more."""
 
     def disturb(one: Skin) -> None:
         mine, other = one.sender, Sender(one.contract, seed=1)
-        other.count, other.last, other.wanted = list(mine.count), list(mine.last), list(mine.wanted)
+        other.count, other.last = [each + ahead for each in mine.count], list(mine.last)
+        other.wanted = list(mine.wanted)
         one.go()
         one.put(kind=kind)
         one.deliver()
@@ -391,6 +392,7 @@ SEEN: dict[str, Callable[[Skin], None]] = {
         for kind in ("set", "check")
     },
     **{f"two {kind}s of a slot that differ": differs(kind) for kind in ("step", "set")},
+    **{f"a {kind} and the next in one slot": differs(kind, 1) for kind in ("step", "set")},
     **{
         f"{lost} lost {late} slots after SYNC was late": loses_words_after_a_late_sync(late, lost)
         for late in (1, 3)

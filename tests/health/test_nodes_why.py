@@ -3,7 +3,8 @@
 import msgspec
 import pytest
 
-from canskin.messages import GatewayStatus
+from canskin.messages import Fault, GatewayStatus, NodeFault
+from health.causes import GRAVE, Cause
 from health.nodes_why import LOSS_S
 from health.state import ViewState
 from tests.health.helpers import Messages, seen_of
@@ -16,7 +17,7 @@ def state(messages: Messages) -> ViewState:
 
 def troubles(state: ViewState, now_s: float, bus: int = 0) -> list[tuple[int, float, str]]:
     gateway = seen_of(state, now_s).gateway
-    return [msgspec.structs.astuple(each) for each in gateway.buses[bus].nodes_why]
+    return [msgspec.structs.astuple(each)[:3] for each in gateway.buses[bus].nodes_why]
 
 
 def losing(status: GatewayStatus, missing: list[int], emcy: int = 0) -> GatewayStatus:
@@ -58,3 +59,76 @@ def test_a_window_that_was_missed_explains_a_loss_and_is_none(state: ViewState, 
         state.take(losing(messages.gateway(), [0, missing, 0, 0], emcy=0xFF10), at_s)
         whys = [why for _, _, why in troubles(state, at_s)]
         assert whys == (["frames with sums are missing, EMCY FF10h"] if at_s == 1.2 else [])
+
+
+def changed_bus(status: GatewayStatus, **changed: object) -> GatewayStatus:
+    return msgspec.structs.replace(
+        status, buses=[msgspec.structs.replace(status.buses[0], **changed), *status.buses[1:]]
+    )
+
+
+@pytest.mark.parametrize("kind", Fault)
+def test_each_fault_of_a_node_is_one_cause(state: ViewState, messages: Messages, kind: Fault) -> None:
+    state.take(changed_bus(messages.gateway(), faults={2: NodeFault(kind, "what was seen")}), 1.0)
+    (trouble,) = seen_of(state, 1.0).gateway.buses[0].nodes_why
+    assert (trouble.node, trouble.code, trouble.why) == (2, f"node-{kind}", "what was seen")
+    (notice,) = [each for each in seen_of(state, 1.0).notices if each.subject.startswith("left")]
+    assert (notice.code, notice.since_time_s) == (trouble.code, 1001.0)
+    assert notice.text.startswith("left: node 2 ")
+    assert "(what was seen)" in notice.text
+
+
+@pytest.mark.parametrize(
+    ("told", "code"),
+    [
+        ({"answer_s": [(0.0, 0.0), (0.001, 0.28), (0.0, 0.0), (0.0, 0.0)]}, "node-late"),
+        ({"heartbeat_s": [(0.9, 1.2), (0.9, 1.1), (0.9, 1.1), (0.9, 1.4)]}, "node-late"),
+        ({"heartbeat_s": [(0.9, 1.2)] * 4, "answer_s": [(0.001, 0.2)] * 4}, None),
+        ({"emcy": [0, 0x8130, 0, 0]}, "node-emergency"),
+        ({"other_sync": "node 9 produces SYNC"}, "other-sync"),
+        ({"load_ratio": 0.98}, "bus-full"),
+        ({"load_ratio": 0.95}, None),
+        ({"link": "passive", "trouble": "troubled"}, "error-passive"),
+        ({"link": "bus_off", "trouble": "dead"}, "bus-off"),
+        ({"link": "lost", "trouble": "dead"}, "interface-lost"),
+        ({"trouble": "without SYNC"}, "sync-refused"),
+    ],
+)
+def test_what_a_bus_tells_has_one_cause(
+    state: ViewState, messages: Messages, told: dict[str, object], code: str | None
+) -> None:
+    status = msgspec.structs.replace(messages.gateway(), answer_limit_s=0.3, heartbeat_limit_s=1.5)
+    state.take(changed_bus(status, **told), 1.0)
+    codes = [each.code for each in seen_of(state, 1.0).notices if each.subject.startswith("left")]
+    assert codes == ([] if code is None else [code])
+
+
+@pytest.mark.parametrize(
+    ("silent", "place"),
+    [((3, 4), "between node 2 and node 3"), ((1, 2, 3), "between node 3 and node 4"), ((2, 3), None), ((4,), None)],
+)
+def test_nodes_behind_a_place_that_fall_silent_together_are_a_broken_cable(
+    state: ViewState, messages: Messages, silent: tuple[int, ...], place: str | None
+) -> None:
+    state.take(messages.gateway(), 1.0)
+    state.take(changed_bus(messages.gateway(), faults={node: NodeFault(Fault.SILENT) for node in silent}), 2.0)
+    found = [(each.code, each.subject) for each in seen_of(state, 2.0).notices if each.subject.startswith("left")]
+    assert found == [("cable-break", f"left {place}") if place else ("node-silent", "left silent")]
+
+
+def test_sync_that_is_left_out_is_the_host_s_fault_for_a_while(state: ViewState, messages: Messages) -> None:
+    for at_s, skipped in ((1.0, 3), (2.0, 5), (3.0, 6)):
+        state.take(msgspec.structs.replace(messages.gateway(), syncs_skipped=skipped), at_s)
+    told = [(each.text, each.since_time_s) for each in seen_of(state, 3.0).notices if each.code == "host-late"]
+    assert told == [("the gateway's host is late: 6 SYNCs not sent", 1002.0)]
+    state.take(msgspec.structs.replace(messages.gateway(), syncs_skipped=6), 3.0 + LOSS_S)
+    assert "host-late" not in {each.code for each in seen_of(state, 3.0 + LOSS_S).notices}
+
+
+def test_a_cause_is_found_by_its_code_and_says_what_to_do() -> None:
+    for cause in Cause:
+        assert Cause.of(cause.code) is cause
+        notice = cause.notice("seen", "left")
+        assert notice.mend
+        assert "{" not in notice.mend
+        assert cause.level in GRAVE

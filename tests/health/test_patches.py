@@ -50,7 +50,11 @@ def test_a_region_over_its_threshold_in_any_image_is_named_for_a_second(messages
         top, bottom = snapshot.patches[1:]
         assert (top.is_over, top.over_since_time_s) == (is_over, 1001.25 if is_over else None)
         assert not bottom.is_over
-        told = [(each.text, each.since_time_s) for each in snapshot.notices if each.kind == "threshold of top"]
+        told = [
+            (each.text, each.since_time_s)
+            for each in snapshot.notices
+            if (each.code, each.subject) == ("threshold", "top")
+        ]
         text = f"up to {2 * top_n:.3g} N on top: more than its threshold of 0.1 N"
         assert told == ([(text, 1001.25)] if is_over else [])
     state.take(messages.image(1, sync_s=3.0), 3.0)

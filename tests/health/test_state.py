@@ -100,7 +100,7 @@ def test_virtual_nodes_that_leave_are_told(state: ViewState) -> None:
 
 def test_nodes_off_duty_are_named(state: ViewState, messages: Any) -> None:
     state.take(messages.gateway(nmt=((5, 255, 127, 255), (4, 4, 4, 4))), 1.0)
-    assert texts(state, 1.1, "warning") == ["left: node 3 pre-operational", "left: nodes 2, 4 silent"]
+    assert texts(state, 1.1, "warning") == ["left: nodes 2, 4 silent", "left: node 3 pre-operational"]
     assert texts(state, 1.1) == ["right: all 4 nodes stopped"]
 
 
@@ -245,8 +245,8 @@ def test_refused_node_is_named_unless_it_left(state: ViewState, messages: Any) -
     state.take(messages.gateway(nmt=((127, 127, 255, 5), (5, 5, 5, 5)), refused=(2, 3)), 1.0)
     assert texts(state, 1.1, "warning") == [
         "left: node 1 pre-operational",
-        "left: node 3 silent",
         "left: node 2 refused by the gateway: not of this skin",
+        "left: node 3 silent",
     ]
 
 

@@ -25,7 +25,7 @@ HUB_BYTES_MAX = 180_000_000
 FLOODS = {
     "nothing": "time.sleep(0.1)",
     "denied messages of 20 kB": "session.put('canskin/palm/image', bytes(20_000))",
-    "denied questions": "list(session.get('canskin/palm/calibration', payload=b'', timeout=1))",
+    "denied questions": "list(session.get('canskin/palm/calibration', payload=tare, timeout=1))",
     "denied tokens": "session.liveliness().declare_token(f'canskin/palm/alive/gateway/x{turn}--').undeclare()",
     "its own tokens": "session.liveliness().declare_token(f'canskin/palm/alive/client/x{turn}--').undeclare()",
     "tokens that it keeps": "kept.append(session.liveliness().declare_token(f'canskin/palm/alive/client/x{turn}--'))",
@@ -36,9 +36,12 @@ FLOODS = {
 }
 FLOOD = """
 import socket, sys, time
+import msgspec
 from pathlib import Path
+from canskin.calibration_messages import CalibrationRequest
 from canskin.keys import Keys
 from canskin.session import open_client
+tare = msgspec.msgpack.encode(CalibrationRequest(action="tare", force=True))
 keys = Keys(Path(sys.argv[2]))
 address = ("127.0.0.1", int(sys.argv[1].rpartition(":")[2]))
 session = open_client(sys.argv[1], "flood", None, 60, keys=keys)

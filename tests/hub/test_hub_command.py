@@ -4,7 +4,7 @@ import re
 import signal
 import sys
 import threading
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -19,6 +19,7 @@ from canskin.session import open_client
 from hub.denials import MOST_LINES, Denials
 from hub.hub_command import hub
 from tests.hub.keys import make_authority
+from tests.messages import label
 from tests.processes import PATIENCE_S, Processes, free_port
 
 #: A gateway that sends labels, one each 10 ms.
@@ -27,7 +28,7 @@ import sys, time
 from canskin.fabric import Fabric
 from canskin.messages import LABEL
 from tests.messages import label
-fabric = Fabric(sys.argv[2], "gateway", sys.argv[1])
+fabric = Fabric("palm", "gateway", sys.argv[1])
 while True:
     fabric.publish(LABEL, label(1, "cup"))
     time.sleep(0.01)
@@ -36,30 +37,34 @@ while True:
 
 @pytest.mark.heavy
 def test_a_gateway_that_is_killed_is_a_gap_for_nobody_else(tmp_path: Path, endpoint: str) -> None:
-    with Processes(tmp_path) as started:
+    with Processes(tmp_path) as started, ExitStack() as stack:
+
+        def join(skin: str, service: str = "") -> Fabric:
+            return stack.enter_context(closing(Fabric(skin, service, endpoint)))
+
+        def hears(skin: str, gateway: Fabric) -> None:
+            def is_heard() -> bool:
+                gateway.publish(LABEL, label(1, "cup"))
+                return came[skin].is_set()
+
+            came[skin].clear()
+            started.until(is_heard, f"a label of {skin}")
+
         started.skin("hub", "hub", "--listen", endpoint)
-        for skin in ("palm", "hand"):
-            started.start(skin, sys.executable, "-c", GATEWAY, endpoint, skin)
-        came = {skin: threading.Event() for skin in ("palm", "hand")}
-        left = threading.Event()
-
-        def take(skin: str) -> None:
-            came[skin].set()
-
-        with closing(Fabric("palm", "", endpoint)) as palm, closing(Fabric("hand", "", endpoint)) as hand:
-            palm.subscribe(LABEL, lambda _: take("palm"))
-            hand.subscribe(LABEL, lambda _: take("hand"))
-            palm.watch(lambda _, alive: None if alive else left.set())
-            assert all(each.wait(PATIENCE_S) for each in came.values())
-            started.stop("palm", signal.SIGKILL)
-            assert left.wait(PATIENCE_S)
-            for each in came.values():
-                each.clear()
-            assert came["hand"].wait(PATIENCE_S)
-            assert not came["palm"].is_set()
-            started.start("palm again", sys.executable, "-c", GATEWAY, endpoint, "palm")
-            assert came["palm"].wait(PATIENCE_S)
-            assert not hand.missed.counts()
+        started.start("palm", sys.executable, "-c", GATEWAY, endpoint)
+        came, left = {skin: threading.Event() for skin in ("palm", "hand")}, threading.Event()
+        palm, hand, gateway = join("palm"), join("hand"), join("hand", "gateway")
+        palm.subscribe(LABEL, lambda _: came["palm"].set())
+        hand.subscribe(LABEL, lambda _: came["hand"].set())
+        palm.watch(lambda _, alive: None if alive else left.set())
+        assert came["palm"].wait(PATIENCE_S)
+        started.stop("palm", signal.SIGKILL)
+        assert left.wait(PATIENCE_S)
+        came["palm"].clear()
+        hears("hand", gateway)
+        assert not came["palm"].is_set()
+        hears("palm", join("palm", "gateway"))
+        assert not hand.missed.counts()
         assert started.stop("hub") == 0
 
 

@@ -2,6 +2,7 @@
 
 import math
 import os
+import queue
 import shutil
 import socket
 import threading
@@ -146,6 +147,18 @@ def test_a_service_says_that_its_keys_end_soon(
     assert caplog.messages == [f"the keys {authority.folder / 'client'} end in 2 days: 'skin keys renew'"]
 
 
+@pytest.mark.heavy
+def test_a_service_that_runs_says_that_its_keys_have_ended(
+    authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: queue.Queue[tuple[str, str]] = queue.Queue()
+    monkeypatch.setattr("canskin.keys.tell", lambda *words: said.put(words))
+    with closing(Fabric("palm", "client", hub, keys=Keys(issue_for(authority, "client", 2.0)))):
+        for when in ("end in 0 days", "have ended"):
+            told = ("client", f"the keys {authority.folder / 'client'} {when}: 'skin keys renew'")
+            assert said.get(timeout=PATIENCE_S) == told
+
+
 def test_every_connection_of_a_process_has_the_keys_of_its_environment(
     authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -202,6 +215,9 @@ def test_a_hub_that_is_busy_refuses_nobody(authority: Authority, monkeypatch: py
 def test_a_hub_has_keys_of_its_role(authority: Authority) -> None:
     with pytest.raises(BusError, match="with keys of 'palm:client': expected those of role 'hub'"):
         open_hub(f"tls/127.0.0.1:{free_port()}", Keys(authority.folder / "client"))
+    assert "they are the hub's own: expected those of a role" in refusal(
+        "tls/127.0.0.1:1", Keys(authority.folder / "hub")
+    )
 
 
 def test_quic_uses_keys(authority: Authority) -> None:

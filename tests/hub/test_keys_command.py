@@ -1,5 +1,6 @@
 """``skin keys``: folders for each role, private files, and a list of who may connect."""
 
+import shutil
 import stat
 from pathlib import Path
 
@@ -13,10 +14,16 @@ from hub.holders import read_holders
 from hub.keys_command import add, list_, new, renew, revoke
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "keys"
+    new(folder, skin="palm", host=("robot.local", "10.0.0.5"))
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    new(tmp_path / "keys", skin="palm", host=("robot.local", "10.0.0.5"))
-    return tmp_path / "keys"
+def folder(made: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(made, tmp_path / "keys")
 
 
 def certificate(folder: Path) -> x509.Certificate:
@@ -58,6 +65,7 @@ def test_no_authority_is_written_over(folder: Path) -> None:
 
 def test_holders_are_added_renewed_and_revoked_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     add(folder, "client:laptop7", "operator:anna")
+    (folder / "hand.gateway").mkdir()
     add(folder, "hand:gateway")
     assert Keys(folder / "client.laptop7").holder == "laptop7"
     assert Keys(folder / "hand.gateway").common_name == "hand:gateway"
@@ -104,6 +112,8 @@ def test_what_is_not_there(folder: Path, tmp_path: Path) -> None:
         revoke(folder, "client:nobody")
     with pytest.raises(InputError, match="expected ROLE or ROLE:HOLDER, got none"):
         revoke(folder)
+    with pytest.raises(InputError, match=r"^--skin pa\*\*lm: expected the name of the skin"):
+        new(tmp_path / "other", skin="pa**lm")
     with pytest.raises(InputError, match="expected the name or the address"):
         new(tmp_path / "other", skin="palm", host=("a b",))
     with pytest.raises(InputError, match="expected the list that 'skin keys new' makes"):

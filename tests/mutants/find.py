@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.config import load_config
@@ -22,6 +22,7 @@ from cosmic_ray.modules import find_modules
 from cosmic_ray.plugins import get_operator, operator_names
 from cosmic_ray.work_db import use_db
 from cosmic_ray.work_item import MutationSpec, WorkerOutcome, WorkItem
+from parso.tree import search_ancestor
 
 ROOT: Final = Path(__file__).parents[2]
 FOLDER: Final = ROOT / "build" / "mutants"
@@ -67,9 +68,9 @@ def draw(count: int, seed: int, only: str) -> None:
     wanted = [
         WorkItem.single(f"{file} {name} {occurrence}", MutationSpec(file, name, occurrence, *place))
         for file in sorted(find_modules([Path(path) for path in config["module-path"]]))
-        if str(file).startswith(only)
+        if str(file).startswith(only) and str(file) not in config["excluded-modules"]
         for name in operators
-        for occurrence, place in enumerate(places(file, name))
+        for occurrence, place in places(file, name)
     ]
     drawn = random.Random(seed).sample(wanted, min(count, len(wanted)))
     SESSION.unlink(missing_ok=True)
@@ -79,16 +80,21 @@ def draw(count: int, seed: int, only: str) -> None:
 
 
 @cache
-def nodes_of(file: Path) -> list[object]:
+def nodes_of(file: Path) -> list[Any]:
     """Return the nodes of a file."""
     return list(ast_nodes(get_ast_from_path(file)))
 
 
-def places(file: Path, operator: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
-    """Yield the places of a file that an operator changes."""
+def places(file: Path, operator: str) -> Iterator[tuple[int, tuple[tuple[int, int], tuple[int, int]]]]:
+    """Yield number and place of what an operator changes in a file, but for places that change no result.
+
+    Those are decorators, which tell how a function is compiled and kept, and the question whether types are checked.
+    """
     make = get_operator(operator)()
-    for node in nodes_of(file):
-        yield from make.mutation_positions(node)
+    found = ((node, place) for node in nodes_of(file) for place in make.mutation_positions(node))
+    for number, (node, place) in enumerate(found):
+        if search_ancestor(node, "decorator") is None and not node.get_code().strip().startswith("if TYPE_CHECKING:"):
+            yield number, place
 
 
 def tell() -> int:

@@ -8,11 +8,8 @@ import pytest
 
 import dbc
 from dbc.program import Program
-from shell.command import main
 from tests.layouts import buses, layout_toml
-
-# The arguments stand where the command finds them, in sys.argv.
-pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
+from tests.processes import Verb
 
 
 @pytest.fixture
@@ -23,49 +20,41 @@ def palm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "palm.toml"
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["skin", "contract", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return int(ended.value.code or 0)
-
-
-def test_contract_writes_all_files_and_check_names_those_that_drifted(
-    palm: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_contract_writes_all_files_and_check_names_those_that_drifted(palm: str, skin: Verb) -> None:
     folder = Path("made/here")
-    assert run(monkeypatch, palm, "--out", str(folder), "--json") == 0
+    code, out, _ = skin("contract", palm, "--out", folder, "--json")
+    assert code == 0
     nodes = {f"nodes/arm-00{node}.{suffix}" for node in range(1, 5) for suffix in ("dcf", "json")}
     made = {"arm.dbc", "skin.eds", "vectors/arm-001.json"} | nodes
     assert {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} == made
-    assert set(json.loads(capsys.readouterr().out)) == {str(folder / name) for name in made}
-    check = palm, "--out", str(folder), "--check"
-    assert run(monkeypatch, *check) == 0
+    assert set(json.loads(out)) == {str(folder / name) for name in made}
+    check = "contract", palm, "--out", folder, "--check"
+    assert skin(*check)[0] == 0
     text = (folder / "arm.dbc").read_text()
     (folder / "arm.dbc").write_text(text.replace("(16,-21840)", "(16,0)", 1))
     for name in ("skin.eds", "vectors/arm-001.json"):
         (folder / name).unlink()
     for name in ("old.eds", "notes.txt", "nodes/arm-002.dcf", "nodes/board.h"):
         (folder / name).write_text("")
-    assert run(monkeypatch, *check) == 1
-    drifted = [str(Path(line.split()[0]).relative_to(folder)) for line in capsys.readouterr().out.splitlines()]
+    code, out, _ = skin(*check)
+    assert code == 1
+    drifted = [str(Path(line.split()[0]).relative_to(folder)) for line in out.splitlines()]
     assert drifted == ["arm.dbc", "nodes/arm-002.dcf", "old.eds", "skin.eds", "vectors/arm-001.json"]
 
 
-def test_firmware_takes_the_place_of_these_files(palm: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run(monkeypatch, palm, "--firmware", "--node", "arm:2", "--out", "firmware") == 0
+def test_firmware_takes_the_place_of_these_files(palm: str, skin: Verb) -> None:
+    assert skin("contract", palm, "--firmware", "--node", "arm:2", "--out", "firmware")[0] == 0
     assert {path.name for path in Path("firmware").iterdir()} == {"README.md", "boards", "src"}
     assert {path.name for path in Path("firmware/boards").iterdir()} == {"arm-002"}
 
 
-def test_program_gets_the_header_that_boards_ask_for(
-    palm: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_program_gets_the_header_that_boards_ask_for(palm: str, skin: Verb) -> None:
     Path("main.bin").write_bytes(b"code")
-    assert run(monkeypatch, palm, "--program", "main.bin", "--release", "1.1", "--out", "new.bin") == 0
+    code, out, _ = skin("contract", palm, "--program", "main.bin", "--release", "1.1", "--out", "new.bin")
+    assert code == 0
     program = Program.read(Path("new.bin"))
     assert (program.version, program.data) == ("1.1", b"code")
-    assert f"{program.identification:08X}h" in capsys.readouterr().out
+    assert f"{program.identification:08X}h" in out
 
 
 @pytest.mark.heavy
@@ -89,11 +78,9 @@ def test_program_gets_the_header_that_boards_ask_for(
         ([str(Path(dbc.__file__)), "--out", "x"], "Expected '='"),
     ],
 )
-def test_wrong_input_is_one_line_and_exit_code_2(
-    palm: str, arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, *arguments) == 2
-    shown = capsys.readouterr()
-    assert said in shown.err
-    assert len(shown.err.splitlines()) == 1
+def test_wrong_input_is_one_line_and_exit_code_2(palm: str, arguments: list[str], said: str, skin: Verb) -> None:
+    code, _, told = skin("contract", *arguments)
+    assert code == 2
+    assert said in told
+    assert len(told.splitlines()) == 1
     assert [path.name for path in Path().iterdir()] == [palm]

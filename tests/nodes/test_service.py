@@ -5,12 +5,11 @@ import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from bus.link import State
-from canskin.messages import NodesStatus, Topic, Truth
+from canskin.messages import NodesStatus, Truth
 from dbc import indices as od
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -19,6 +18,7 @@ from nodes.service import STATUS_PERIOD_S, NodesService
 from nodes.steps.boards import SteppedBoards
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.messages import Published
 from tests.nodes.helpers import MILLISECOND_NS, START, ArrayLink, Still, new_sampler, sync
 
 
@@ -48,23 +48,6 @@ class ReadyLink(ArrayLink):
         self._far.close()
 
 
-class Published:
-    """A fabric that keeps what is published."""
-
-    def __init__(self) -> None:
-        self.statuses: list[NodesStatus] = []
-        self.truths: list[Truth] = []
-
-    def tell_scheduling(self, _: str) -> None:
-        """Nobody listens."""
-
-    def publish(self, _: Topic, message: msgspec.Struct) -> None:
-        if isinstance(message, NodesStatus):
-            self.statuses.append(message)
-        elif isinstance(message, Truth):
-            self.truths.append(message)
-
-
 class Run:
     """A service whose nodes are operational, with the clock and the messages published."""
 
@@ -86,7 +69,8 @@ class Run:
 
     def newest_status(self) -> NodesStatus:
         self.service.publish_status()
-        return self.published.statuses[-1]
+        newest: NodesStatus = self.published.of(NodesStatus)[-1]
+        return newest
 
 
 @pytest.fixture
@@ -106,7 +90,7 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
         segment.boot(now_s)
     assert [link.take_sent()["can_id"].tolist() for link in links.values()] == [[0x701], [0x702]]
     service.turn()
-    assert len(published.statuses) == 1
+    assert len(published.of(NodesStatus)) == 1
     links[0].put(frame(0, bytes((START, 0))))
     links[1].put(frame(0, bytes((START, 0))))
     service.turn()
@@ -114,14 +98,14 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
     service.turn()
     assert len(links[0].take_sent()) == 0
     assert links[1].take_sent()["can_id"].tolist() == [0x182, 0x282]
-    assert [truth.sampled_mono_ns for truth in published.truths] == [10_000_000]
-    assert len(published.statuses) == 1
+    assert [truth.sampled_mono_ns for truth in published.of(Truth)] == [10_000_000]
+    assert len(published.of(NodesStatus)) == 1
     now_s += STATUS_PERIOD_S
     service.turn()
-    assert len(published.truths) == 1
-    newest = published.statuses[-1]
+    assert len(published.of(Truth)) == 1
+    newest = published.of(NodesStatus)[-1]
     assert (newest.frames_sent, newest.frames_dropped, newest.syncs_seen) == (2, 0, 1)
-    assert np.frombuffer(published.truths[0].true, "<f4").size == contract.layout.taxels.count
+    assert np.frombuffer(published.of(Truth)[0].true, "<f4").size == contract.layout.taxels.count
 
 
 def test_stepped_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -> None:
@@ -137,7 +121,7 @@ def test_stepped_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) ->
         run.turn(1e-3)
         for link in links.values():
             link.put()
-    assert [truth.step for truth in run.published.truths] == [1, 2, 3]
+    assert [truth.step for truth in run.published.of(Truth)] == [1, 2, 3]
     # Slots of 4 ms, that of the SYNC, too.
     assert [link.take_sent()["can_id"].tolist().count(0x181) for link in links.values()] == [8, 8]
     newest = run.newest_status()
@@ -174,7 +158,7 @@ def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]
     links[0].put(frame(0, bytes((START, 0))), frame(0x80, b"\1", time_ns=round(now_s * 1e9)))
     service.run(StopAfter(1, links[0].put))  # type: ignore[arg-type]
     assert not boards.is_sending
-    assert [status.frames_sent for status in published.statuses] == [0, 1]
+    assert [status.frames_sent for status in published.of(NodesStatus)] == [0, 1]
 
 
 def test_the_next_cycle_is_sampled_ahead_when_all_buses_have_had_their_answers(

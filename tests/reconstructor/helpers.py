@@ -8,8 +8,7 @@ import pytest
 from hypothesis import strategies as st
 
 from canskin.errors import InputError
-from canskin.fabric import Mailbox
-from canskin.messages import IMAGE, Image, Measurement, Topic
+from canskin.messages import Image, Measurement
 from skin.layout import Layout, load_layout
 from skin.phi import Sbhe
 from skin.surface import grid_surface
@@ -65,22 +64,9 @@ def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None
     )
 
 
-class Images:
-    """Takes what a service publishes; `mailboxes` has those that the service asked for."""
-
-    def __init__(self) -> None:
-        self.mailboxes: list[Mailbox[Any]] = []
-        self.made: list[np.ndarray] = []
-        self.messages: list[Image] = []
-
-    def publish(self, topic: Topic, message: Any) -> None:
-        if topic is IMAGE:
-            self.messages.append(message)
-            self.made.append(np.frombuffer(message.pixels, "<f4").reshape((LAYOUT.taxels.rows, LAYOUT.taxels.columns)))
-
-    def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox:
-        self.mailboxes.append(Mailbox(depth))
-        return self.mailboxes[-1]
+def pixels(image: Image) -> np.ndarray:
+    """Return the forces of an image of the default skin, newtons."""
+    return np.frombuffer(image.pixels, "<f4").reshape((LAYOUT.taxels.rows, LAYOUT.taxels.columns))
 
 
 def spoilt(values: np.ndarray, value: float) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
+from canskin.messages import Image
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.imaging import CycleImager, load_gains, make_imager
 from reconstructor.service import ReconstructorService
@@ -15,7 +16,8 @@ from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import Sampling, load_layout
 from skin.psnr import psnr_db
-from tests.reconstructor.helpers import LAYOUT, Images, measurement
+from tests.messages import Published
+from tests.reconstructor.helpers import LAYOUT, measurement, pixels
 
 SAMPLED_ONCE = msgspec.structs.replace(LAYOUT, sampling=Sampling())
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
@@ -23,14 +25,14 @@ GAINS = np.random.default_rng(1).normal(1, 0.1, SHAPE).clip(0.5)
 
 
 def psnr_of_a_slide(gains: np.ndarray, known: np.ndarray | None) -> float:
-    images = Images()
+    images = Published()
     taken_off = None if known is None else KnownGains(known)
     service = ReconstructorService(LAYOUT, CycleImager(SAMPLED_ONCE, gains=taken_off), images)
     i, j = np.indices(SHAPE)
     for cycle in range(20):
         true_n = (0.012 * np.exp(-((i - 30) ** 2 + (j - 20 - cycle / 2) ** 2) / 30)).astype(np.float32)
         service.take(measurement(cycle, true_n * gains))
-    return psnr_db(true_n, images.made[-1], LAYOUT.taxels.force_max_n)
+    return psnr_db(true_n, pixels(images.of(Image)[-1]), LAYOUT.taxels.force_max_n)
 
 
 def test_gains_cost_little_when_they_are_known() -> None:
@@ -73,13 +75,13 @@ def test_dead_analogue_sums_have_no_part_in_the_image() -> None:
     of_sums = SumGains(np.ones(phi.shape[0]), np.zeros(phi.shape[0]))
     of_sums.differential[[other, total]] = 0.01, 0.5  # as a roll finds them: of the row of all ones D + C alone
     of_sums.common_mode[total] = -0.5
-    images = Images()
+    images = Published()
     imager = CycleImager(SAMPLED_ONCE, gains=KnownGains(np.ones(phi.shape[1]), of_sums))
     service = ReconstructorService(LAYOUT, imager, images)
     for cycle in range(20):
         counts = np.rint(random.normal(0, 1, phi.shape[0])).astype("<i4")
         made = measurement(cycle, np.zeros(SHAPE, np.float32))
         service.take(msgspec.structs.replace(made, sums=counts.tobytes()))
-    (message,) = images.messages[-1:]
+    message = images.of(Image)[-1]
     assert message.valid_sums == phi.shape[0] - 2
-    assert images.made[-1].max() < 1e-3
+    assert pixels(images.of(Image)[-1]).max() < 1e-3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from canskin.messages import CONTACTS, IMAGE, Contacts, Image
+from canskin.messages import Contacts, Image
 from reconstructor.engine import Reconstructor, reconstruct
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
@@ -15,7 +15,7 @@ from skin.matrix import MatrixPhi, signs_of
 from skin.phi import sbhe
 from skin.surface import Surface, grid_surface, surface_of_positions
 from tests.layouts import layout_toml
-from tests.messages import measurement
+from tests.messages import Published, measurement
 
 SIDE = 10
 FRAMES, SUMS = 300, 15
@@ -124,24 +124,11 @@ def test_what_does_not_fit_is_refused(codes: MatrixPhi) -> None:
         Reconstructor(codes, 8, 8, VARIATION)
 
 
-class Sent:
-    """What a service publishes, by topic."""
-
-    def __init__(self) -> None:
-        self.of: dict[object, list[object]] = {IMAGE: [], CONTACTS: []}
-
-    def publish(self, topic: object, message: object) -> None:
-        self.of[topic].append(message)
-
-    def mailbox(self, _topic: object, _depth: int = 4) -> None:
-        """No messages wait: the service is called."""
-
-
 def test_the_service_takes_the_messages_of_other_hardware(force_n: np.ndarray, codes: MatrixPhi) -> None:
     """Each message is solved with the Φ of its cycle; a sum that did not come is left out alone."""
     tables = {"ensemble": "matrix", "matrix": signs_of(codes.entries)}
     layout = parse_layout(layout_toml(SIDE, SIDE, measurement=tables).encode(), "wire.toml")
-    sent = Sent()
+    sent = Published()
     service = ReconstructorService(layout, make_imager(layout, SolverOptions()), sent)  # type: ignore[arg-type]
     counts = np.rint(sums_of(codes, force_n) / layout.taxels.newton_per_count).astype("<i4")
     valid = np.ones(SUMS, np.uint8)
@@ -158,9 +145,7 @@ def test_the_service_takes_the_messages_of_other_hardware(force_n: np.ndarray, c
                 fingerprint=codes.fingerprint,
             )
         )
-    image, contacts = sent.of[IMAGE][-1], sent.of[CONTACTS][-1]
-    assert isinstance(image, Image)
-    assert isinstance(contacts, Contacts)
+    image, contacts = sent.of(Image)[-1], sent.of(Contacts)[-1]
     assert service.images == FRAMES - 10
     assert image.valid == valid.tobytes()
     assert image.valid_sums == SUMS - 1

@@ -26,9 +26,9 @@ from shell.skin_options import SkinOptions
 from skin.layout import load_layout
 from skin.measured_sums import decode_stepped
 from tests.layouts import STEPPED_SKIN
-from tests.messages import stepped_measurement
+from tests.messages import Published, stepped_measurement
 from tests.processes import PATIENCE_S
-from tests.reconstructor.helpers import LAYOUT, Images, Scene, measurement, psnr_db
+from tests.reconstructor.helpers import LAYOUT, Scene, measurement, pixels, psnr_db
 
 
 @pytest.fixture
@@ -182,23 +182,23 @@ def test_extreme_counts_do_no_harm(service: ReconstructorService, golf: Scene) -
 
 
 def test_stepped_sums_give_an_image_of_what_is_known(golf: Scene) -> None:
-    exchange, layout = Images(), STEPPED_SKIN
+    exchange, layout = Published(), STEPPED_SKIN
     service = ReconstructorService(layout, make_imager(layout), exchange)
     known = np.ones((128, 32), np.bool_)
     known[40], known[50, 7] = False, False
     service.take(stepped_measurement(golf.true[30], known, layout=layout, cycle=7, sync_counter=3, sampled_mono_ns=5))
-    (image,) = exchange.messages
+    (image,) = exchange.of(Image)
     assert (image.cycle, image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (7, 3, 5, 4096 - 33)
     assert np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0).tolist() == [40, 50]
-    assert np.sqrt(np.mean((exchange.made[0] - golf.true[30]) ** 2)) < 2e-4
+    assert np.sqrt(np.mean((pixels(image) - golf.true[30]) ** 2)) < 2e-4
     service.take(measurement(8, golf.sensor[30]))
     whole = stepped_measurement(golf.true[30], layout=layout)
     service.take(msgspec.structs.replace(whole, known=b"", states=b"", since_ns=b""))
-    assert len(exchange.messages) == 1
+    assert len(exchange.of(Image)) == 1
 
 
 def test_of_stepped_measurements_only_the_newest_counts(golf: Scene) -> None:
-    exchange, layout = Images(), STEPPED_SKIN
+    exchange, layout = Published(), STEPPED_SKIN
     ReconstructorService(layout, make_imager(layout), exchange)
     (mailbox,) = exchange.mailboxes
     for cycle in (9, 10):

@@ -13,8 +13,9 @@ import pytest
 from rich.console import Console
 
 from canskin.errors import InputError
-from shell.command import GROUPS, VERBS, build_app, docstring, examples, main, summary
+from shell.command import GROUPS, VERBS, build_app, docstring, examples, summary
 from shell.service import RateLimitedLog, Talk, say, set_talk
+from tests.processes import Verb
 
 
 def help_of(*arguments: str) -> str:
@@ -115,15 +116,10 @@ def test_verbose_and_quiet_contradict_each_other() -> None:
         ("tare --region", "requires an argument"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
-def test_a_wrong_word_is_one_line_and_exit_code_2(
-    words: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["skin", *words.split()])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    (line,) = capsys.readouterr().err.splitlines()
-    assert (ended.value.code, said in line) == (2, True)
+def test_a_wrong_word_is_one_line_and_exit_code_2(words: str, said: str, skin: Verb) -> None:
+    code, _, told = skin(*words.split())
+    (line,) = told.splitlines()
+    assert (code, said in line) == (2, True)
 
 
 @pytest.mark.usefixtures("talk")

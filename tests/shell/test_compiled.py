@@ -29,6 +29,21 @@ def shifted(x):
 
 print(shifted(1), sum(shifted.stats.cache_hits.values()))
 """
+PAIR = """
+class Pair(NamedTuple):
+    a: int
+    b: int
+"""
+OF_TUPLE = """
+from shapes import Shape
+from shell.compiled import njit
+
+@njit(cache=True)
+def first(pair):
+    return pair.a
+
+print(first(Shape(a=1, b=2)), sum(first.stats.cache_hits.values()))
+"""
 
 
 @pytest.fixture
@@ -38,10 +53,15 @@ def folder(tmp_path: Path) -> Path:
 
 
 def result(folder: Path, *, factor: int, constant: str) -> list[int]:
-    """Write the callee, run the caller, and return its result and how often the cache had it."""
+    """Write the callee, and return what `told` does."""
     (folder / "callee.py").write_text(CALLEE.format(factor=factor, constant=constant))
+    return told(folder)
+
+
+def told(folder: Path, **environment: str) -> list[int]:
+    """Run the caller, and return its result and how often the cache had it."""
     # Python takes its own bytecode of a file for that of a later one of the same size and the same second.
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", **environment}
     command = [sys.executable, "caller.py"]
     done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, env=environment)
     return [int(word) for word in done.stdout.split()]
@@ -60,16 +80,20 @@ def test_a_kernel_is_compiled_anew_when_what_it_calls_or_names_in_another_file_c
 
 
 @pytest.mark.heavy
+@pytest.mark.parametrize("later", [PAIR.replace("Pair", "Couple"), PAIR.replace("a: int\n    b", "b: int\n    a")])
+def test_a_kernel_is_compiled_anew_when_a_tuple_of_another_file_has_other_fields_or_another_name(
+    folder: Path, later: str
+) -> None:
+    shapes = "from typing import NamedTuple\n{}\nShape = {}\n"
+    (folder / "caller.py").write_text(OF_TUPLE)
+    for definition, kept in ((PAIR, 0), (PAIR, 1), (later, 0)):
+        (folder / "shapes.py").write_text(shapes.format(definition, definition.split()[1].partition("(")[0]))
+        assert told(folder) == [1, kept]
+
+
+@pytest.mark.heavy
 def test_a_kernel_is_compiled_in_memory_where_no_folder_can_be_written(folder: Path) -> None:
     (folder / "callee.py").write_text(CALLEE.format(factor=2, constant="SHIFT = 10"))
     (folder / "__pycache__").touch()  # no folder can be made of that name, by root neither
-    done = subprocess.run(
-        [sys.executable, "caller.py"],
-        cwd=folder,
-        check=True,
-        capture_output=True,
-        text=True,
-        env={**os.environ, **NOWHERE},
-    )
-    assert done.stdout == "12 0\n"
+    assert told(folder, **NOWHERE) == [12, 0]
     assert [path.name for path in folder.glob("**/*.nb*")] == []

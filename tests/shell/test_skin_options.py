@@ -1,6 +1,5 @@
 """Where a verb's layout comes from: its options, the recording that it reads, or the services on a hub."""
 
-import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -11,12 +10,11 @@ import pytest
 from canskin.errors import BusError, InputError, LayoutError
 from canskin.fabric import Fabric
 from shell import skin_options
-from shell.command import main
 from shell.skin_options import SkinOptions, join
 from skin.layout import Layout, layout_text, load_layout, parse_layout
 from tests.client.helpers import await_peers
 from tests.layouts import layout_toml
-from tests.processes import PATIENCE_S
+from tests.processes import PATIENCE_S, Verb
 
 PALM = parse_layout(layout_toml(16, 16, name="palm").encode(), "palm.toml")
 OTHER = msgspec.structs.replace(PALM, sync=msgspec.structs.replace(PALM.sync, rate_hz=50.0))
@@ -103,17 +101,15 @@ def test_every_verb_that_connects_needs_no_layout_and_tells_one_error_without_a_
     endpoint: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    skin: Verb,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("shell.service.StopSignal.install", lambda self: self)
     monkeypatch.setattr(skin_options, "PATIENCE_S", 0.5)
     monkeypatch.setattr(skin_options, "SERVICE_PATIENCE_S", 0.6)
-    monkeypatch.setattr(sys, "argv", ["skin", *verb, "--connect", endpoint])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert capsys.readouterr().err == f"skin: no hub at {endpoint}: start 'skin gateway', or give another --connect\n"
+    code, _, told = skin(*verb, "--connect", endpoint)
+    assert code == 2
+    assert told == f"skin: no hub at {endpoint}: start 'skin gateway', or give another --connect\n"
     assert not list(tmp_path.iterdir())
 
 

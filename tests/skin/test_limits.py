@@ -1,9 +1,11 @@
 """Files that claim or unpack to far more than they hold: one error, little memory, little time."""
 
+import gzip
 import os
 import subprocess
 import sys
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 import tomli_w
 import zstandard
+from can.io import blf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
@@ -56,7 +59,7 @@ def packed(size: int, *, claimed: bool = False, entries: int = 1, end: bytes = b
     """An .npz of zeros."""
 
     def write(path: Path) -> None:
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as file:
             for number in range(entries):
                 with file.open(f"phi{number or ''}.npy", "w", force_zip64=True) as entry:
                     shape = (1, 1, 2**42 if claimed else size)
@@ -114,6 +117,36 @@ def record(length: int, size: int) -> Callable[[Path], None]:
     return write
 
 
+def container(content: Callable[[], bytes], times: int = 1) -> Callable[[Path], None]:
+    """A log (.blf) with packed containers."""
+
+    def write(path: Path) -> None:
+        packed = zlib.compress(content(), 1)
+        body = blf.LOG_CONTAINER_STRUCT.pack(blf.ZLIB_DEFLATE, 0) + packed
+        head = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 16, 1, 16 + len(body), blf.LOG_CONTAINER)
+        path.write_bytes(
+            b"LOGG" + (144).to_bytes(4, "little") + bytes(136) + (head + body + bytes(len(body) % 4)) * times
+        )
+
+    return write
+
+
+def message(length: int) -> bytes:
+    """A frame as BLF has it, in an object of some length."""
+    head = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 32, 1, length, blf.CAN_MESSAGE)
+    return head + blf.OBJ_HEADER_V1_STRUCT.pack(2, 0, 0, 0) + blf.CAN_MSG_STRUCT.pack(1, 0, 8, 0x181, bytes(8))
+
+
+def zipped(content: bytes, times: int) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        with gzip.open(path, "wb", compresslevel=9) as file:
+            for _ in range(times):
+                file.write(content)
+
+    return write
+
+
+LOG: Final = ("bandwidth.logs", "read_log", "print")
 LAYOUT: Final = ("skin.layout", "load_layout", "")
 RECORDING: Final = ("touch.reading", "read_counts", "None")
 MATRIX: Final = ("skin.matrix", "read_matrix", "")
@@ -142,6 +175,13 @@ ATTACKS: Final = {
     "a record of 2 GB": ("a.mcap", record(2**31, 2**33), RUN, ""),
     "chains of 300 MB": ("a.csv", text(("1", 1), sparse=300_000_000), ("skin.chains", "read_positions", ""), "got 3"),
     "a million columns": ("a.csv", text(("a,", 10**6), ("\n1", 10**6)), ("skin.chains", "read_positions", ""), "16 c"),
+    "a container of 268 MB": ("a.blf", container(lambda: bytes(UNPACKED)), LOG, "at most 4194304 bytes unpacked"),
+    "a container that goes on": ("a.blf", container(lambda: message(2**32 - 1) * 2**16, 4), LOG, "bytes unpacked"),
+    "frames without end": ("a.blf", container(lambda: message(48) * 2**16, 2), LOG, "frames in a file of this size"),
+    "an object of no length": ("a.blf", container(lambda: message(0)), LOG, "an object of no length"),
+    "a line of 268 MB": ("a.log.gz", zipped(bytes(2**20), 256), LOG, "line 1: cannot be read"),
+    "two million lines": ("a.log.gz", zipped(b"(1.0) can0 181#01\n" * 2**16, 32), LOG, "frames in a file of this size"),
+    "a log of 300 MB without lines": ("a.txt", text(("1", 1), sparse=300_000_000), LOG, "cannot be read"),
     "a calibration": (
         "a.json",
         text(("[1,", 1), sparse=300_000_000),

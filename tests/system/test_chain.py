@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from canskin.messages import SERVICES, ServiceStatus
 from tests.processes import PATIENCE_S, free_port
 from tests.system.conftest import Chain, invalid_blocks
 
@@ -69,6 +70,20 @@ def await_steady(chain: Chain, blocks: list[int], in_a_row: int = 10) -> None:
             len(chain.measurements) >= first + in_a_row
             and all(invalid_blocks(one) == blocks for one in chain.measurements[-in_a_row:])
         ),
+    )
+
+
+def test_every_service_tells_what_it_makes(chain: Skin) -> None:
+    made: dict[str, list[int]] = {}
+
+    def take(status: ServiceStatus) -> None:
+        made.setdefault(status.service, []).append(status.made)
+
+    chain.fabric.subscribe(SERVICES, take)
+    working = {"gateway", "nodes", "reconstructor", "classifier"}
+    chain.poll(
+        "more made by each",
+        lambda: made.keys() >= working | {"viewer"} and all(max(made[name]) > min(made[name]) for name in working),
     )
 
 

@@ -117,12 +117,14 @@ def test_an_own_object_has_the_unit_that_the_user_names(tmp_path: Path, unit: st
 
 
 def test_own_objects_that_cannot_be_used(tmp_path: Path) -> None:
-    path = saved(tmp_path / "ring.stl", ball_mesh(30.0))
+    path, archive = saved(tmp_path / "ring.stl", ball_mesh(30.0)), tmp_path / "packed.zip"
+    archive.write_bytes(b"")
     for name, message in (
         (f"{path}", r"in which unit is '.*ring\.stl'\? expected .*ring\.stl@mm or"),
         (f"{path}@feet", "expected FILE@UNIT with a unit of mm, cm, m, inch"),
         (f"{path}@mm:w5", "turns about an axis in degrees"),
         ("nowhere.stl@mm", r"no mesh at 'nowhere\.stl'"),
+        (f"{archive}@mm", r"no mesh at '.*packed\.zip': expected a file that ends in \.ply"),
         (f"{path}@m", r"60 m long.*is its unit m\?"),
     ):
         with pytest.raises(InputError, match=message):

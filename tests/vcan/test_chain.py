@@ -223,6 +223,6 @@ def await_back(chain: Chain, node: str) -> str:
 
 def test_node_that_a_stray_command_stops_comes_back(chain: Chain) -> None:
     cansend("vcan1", "000#0205")
-    assert "node 5 on bus1 left OPERATIONAL: stopped, by another master's NMT command" in await_back(
+    assert "node 5 on bus1 left OPERATIONAL: stopped, by another master's NMT command [node-left]" in await_back(
         chain, "node 5 on bus1"
     )

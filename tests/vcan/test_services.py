@@ -19,13 +19,14 @@ import numpy.typing as npt
 import pytest
 from websockets.sync.client import connect
 
-from canskin.fabric import Fabric, Mailbox
-from canskin.messages import IMAGE, LABEL, TRUTH, Image, Label, Measurement, NmtState, Topic, Truth
+from canskin.fabric import Fabric
+from canskin.messages import IMAGE, LABEL, TRUTH, Image, Label, Measurement, NmtState, Truth
 from demo.score import Score
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from skin.layout import load_layout
 from tests.layouts import slow_layout
+from tests.messages import Published
 from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port
 from tests.vcan.chain import Chain, complete
 
@@ -183,28 +184,15 @@ def look_at_page(run: Run, port: int, ended: threading.Event) -> None:
             run.frames.append((header["snapshot"], dict(zip(header["pictures"], pictures, strict=True))))
 
 
-class Kept:
-    """Keeps what a service publishes."""
-
-    def __init__(self) -> None:
-        self.messages: list[msgspec.Struct] = []
-
-    def publish(self, _topic: Topic, message: msgspec.Struct) -> None:
-        self.messages.append(message)
-
-    def mailbox(self, _topic: Topic, depth: int = 4) -> Mailbox[Any]:
-        return Mailbox(depth)
-
-
 def test_images_are_those_of_the_measurements_bit_for_bit(run: Run) -> None:
     """From the first image on: each depends on those before."""
     measurements = {each.sampled_mono_ns: each for each in run.chain.measurements}
-    kept, layout = Kept(), run.chain.layout
+    kept, layout = Published(), run.chain.layout
     service = ReconstructorService(layout, make_imager(layout), kept)
     assert [image.number for image in run.images] == list(range(1, len(run.images) + 1))
     for image in run.images:
         service.take(measurements[image.sampled_mono_ns])
-    again = [message for message in kept.messages if isinstance(message, Image)]
+    again = kept.of(Image)
     assert len(again) == len(run.images)
     for image, solved in zip(run.images, again, strict=True):
         assert (image.cycle, image.pixels) == (solved.cycle, solved.pixels)

@@ -17,6 +17,7 @@ from canskin.messages import IMAGE
 from recording import RECORDING_SUFFIX, is_recording
 from recording.mcap_file import read_topics
 from shell.command import WRONG_INPUT
+from shell.pulse import Pulse
 from shell.service import StopSignal, listen, say
 from shell.skin_options import SkinOptions
 from skin.layout import require_boards
@@ -53,7 +54,7 @@ def view(
     of
         Which skin.
     host
-        Address to listen on. On another than loopback also to look needs the token of the address that is logged.
+        Address to listen on. On another than loopback, looking needs the token of the logged address, too.
     port
         Port to listen on; 0 takes a free port and prints it.
     control
@@ -68,6 +69,7 @@ def view(
     skin view run.mcap
     """
     stop, of, access = StopSignal().install(), of or SkinOptions(), Access.to(host)
+    pulse = Pulse(stop)
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: expected a folder that exists")
     with listen(host, port) as listener, ExitStack() as closes:
@@ -75,18 +77,18 @@ def view(
             if of.connect or of.skin:
                 raise InputError("a recording has no hub: leave --connect and --skin out")
             playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
-            _serve(build_app(playback, access, playback_actions(playback)), access, listener)
+            _serve(build_app(playback, access, playback_actions(playback)), access, listener, pulse)
             return
         skin = of.find(stop)
         require_boards(skin)
-        fabric = closes.enter_context(closing(of.join(skin, "viewer", stop)))
+        fabric = pulse.fabric = closes.enter_context(closing(of.join(skin, "viewer", pulse)))
         if stop.is_set():
             return
         feed = Feed(skin)
         feed.recorder = closes.enter_context(closing(RecorderProcess(recordings, of.endpoint, skin.name)))
         feed.join(fabric)
         actions = live_actions(feed, fabric, feed.recorder) if control or not access.is_shared else {}
-        _serve(build_app(feed, access, actions), access, listener)
+        _serve(build_app(feed, access, actions), access, listener, pulse)
 
 
 def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
@@ -106,9 +108,10 @@ def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
 
 
 class _Server(uvicorn.Server):
-    """Logs the address of the page, with its token, when the page can be opened."""
+    """Logs the address of the page, with its token, when the page can be opened; `pulse` beats while it serves."""
 
     token = ""
+    pulse: Pulse
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start serving, then log the address."""
@@ -116,6 +119,11 @@ class _Server(uvicorn.Server):
         for listener in sockets or []:
             host, port = listener.getsockname()[:2]
             say("viewer", f"web page at http://{f'[{host}]' if ':' in host else host}:{port}/?token={self.token}")
+
+    async def on_tick(self, counter: int) -> bool:
+        """Beat; uvicorn calls it ten times a second."""
+        self.pulse.beat()
+        return await super().on_tick(counter)
 
 
 def server_config(app: Starlette) -> uvicorn.Config:
@@ -136,8 +144,8 @@ def server_config(app: Starlette) -> uvicorn.Config:
     )
 
 
-def _serve(app: Starlette, access: Access, listener: socket.socket) -> None:
+def _serve(app: Starlette, access: Access, listener: socket.socket, pulse: Pulse) -> None:
     """Serve until SIGINT or SIGTERM."""
     server = _Server(server_config(app))
-    server.token = access.token
+    server.token, server.pulse = access.token, pulse
     server.run(sockets=[listener])

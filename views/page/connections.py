@@ -10,6 +10,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 CONNECTIONS_MAX: Final = 512
 #: Most connections of one address.
 CONNECTIONS_OF_ADDRESS_MAX: Final = 128
+#: Most requests that are served at once without the page's token, WebSockets among them; the other places are for
+#: whoever shows the token.
+WITHOUT_TOKEN_MAX: Final = 64
 #: A request has to be whole within this time, with its body.
 REQUEST_S: Final = 5.0
 HEADERS_BYTES_MAX: Final = 16384

@@ -19,6 +19,7 @@ from starlette.websockets import WebSocketClose
 from canskin.errors import InputError
 from canskin.session import is_loopback
 from shell.service import PAGE_TOKEN
+from views.page.connections import WITHOUT_TOKEN_MAX
 
 HEADERS: Final = {
     "Content-Security-Policy": (
@@ -50,7 +51,7 @@ class Access:
         What a request shows that asks for an action: as ``token`` in its address, or in the cookie that the server
         sets in answer to such an address.
     is_shared
-        Other machines reach the server: to look needs the token, too.
+        Other machines reach the server: looking needs the token, too.
     """
 
     hosts: Collection[str] | None = LOOPBACK
@@ -91,6 +92,7 @@ class Guard:
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app = app
         self._access = access
+        self._without_token = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""
@@ -107,7 +109,11 @@ class Guard:
             await PlainTextResponse(f"{refusal}\n", status_code=403)(scope, receive, send)
         else:
             cookie = f"{access.cookie}={access.token}; HttpOnly; SameSite=Strict; Path=/" if is_addressed else ""
-            await self._app(scope, receive, _with_headers(send, cookie))
+            self._without_token += not is_known
+            try:
+                await self._app(scope, receive, _with_headers(send, cookie))
+            finally:
+                self._without_token -= not is_known
 
     def _refusal(self, request: HTTPConnection, *, is_known: bool) -> str:
         headers, kind = request.headers, request.scope["type"]
@@ -123,7 +129,8 @@ class Guard:
             return f"only the page itself may ask for this, not {headers.get('origin', 'a program')}"
         if method == "POST" and headers.get("content-type", "").partition(";")[0].strip() != "application/json":
             return "expected Content-Type: application/json"
-        needs_token = method == "POST" or (self._access.is_shared and request.scope["path"] != HEALTH)
+        is_look_closed = self._access.is_shared or self._without_token >= WITHOUT_TOKEN_MAX
+        needs_token = method == "POST" or (is_look_closed and request.scope["path"] != HEALTH)
         if needs_token and not is_known:
             return "expected the page's token: open the page by the address that 'skin view' logs"
         return ""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from canskin.errors import RunError
+from health.causes import Cause
 from health.snapshot import Notice, RecorderState
 from recording import RECORDING_SUFFIX
 from shell.service import given_priority, say
@@ -51,7 +52,7 @@ class RecorderProcess:
         status = process.poll()
         if status and not self.notices:
             text = f"the recording has ended: {self._last_line()}"
-            self.notices = [Notice(level="error", text=text, since_time_s=time.time())]
+            self.notices = [Cause.RECORDING_ENDED.notice(text, "recorder", time.time())]
         return state if status is None else None
 
     def start(self, has_joined: Callable[[], bool]) -> str:

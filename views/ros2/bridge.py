@@ -9,6 +9,7 @@ from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply
 from canskin.fabric import Fabric
 from health.arrivals import Arrivals
 from health.state import ViewState
+from shell.pulse import Beat, unheard
 from shell.service import LOOK_S, StopSignal
 from skin.layout import Layout
 from views.ros2.node import SERVICE, RosNode
@@ -59,10 +60,11 @@ class Bridge:
         """Number of messages by name of the topic."""
         return {topic.name: publisher.published for topic, publisher in self._publishers.items()}
 
-    def run(self, stop: StopSignal) -> None:
+    def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
         """Publish until `stop`."""
         while not stop.is_set():
             self.turn(LOOK_S)
+            beat(0)
 
     def turn(self, timeout_s: float) -> None:
         """Publish what waits; wait for messages at most `timeout_s`."""

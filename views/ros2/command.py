@@ -5,6 +5,7 @@ from typing import Annotated, Final, Literal
 
 from cyclopts import Parameter
 
+from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
 from skin.layout import require_boards
@@ -59,13 +60,15 @@ def ros2(
     if namespace is not None:
         check_namespace(namespace)
     stop = StopSignal().install()
+    pulse = Pulse(stop)
     skin = of.find(stop)
     require_boards(skin)
     space = check_namespace(skin.name if namespace is None else namespace)
-    with closing(of.join(skin, SERVICE, stop)) as fabric:
+    with closing(of.join(skin, SERVICE, pulse)) as fabric:
+        pulse.fabric = fabric
         node = RosNode(router, domain=number, namespace=space, name="canskin", stop=stop, has_hashes=distro != "humble")
         with closing(node):
             bridge = Bridge(skin, fabric, node, frame or skin.name)
             names = ", ".join(node.node.full_name(topic.name) for topic in ROS_TOPICS)
             say(SERVICE, f"domain {number}: {names}; service {node.node.full_name(TARE)}")
-            bridge.run(stop)
+            bridge.run(stop, pulse.beat)

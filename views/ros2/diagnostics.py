@@ -43,7 +43,7 @@ def _statuses(state: Snapshot) -> Iterator[Any]:
         "oldest zero s": calibration.oldest_zero_s if calibration else None,
         "doubtful taxels": calibration.doubtful_taxels if calibration else None,
         "doubtful force N": calibration.doubtful_force_n if calibration else None,
-        **{f"notice {number}": notice.text for number, notice in enumerate(state.notices, 1)},
+        **{f"cause {number}": f"{each.code}: {each.text}; {each.mend}" for number, each in enumerate(state.notices, 1)},
     }
     words = state.notices[0].text if state.notices else "measures"
     yield _status(level, f"canskin: {state.skin}", words, state.skin, values)

@@ -10,8 +10,9 @@ from cyclopts import Parameter
 from canskin.errors import InputError
 from canskin.fabric import Fabric
 from health.arrivals import Arrivals
+from shell.pulse import Beat, Pulse, unheard
 from shell.service import LOOK_S, StopSignal, say
-from shell.skin_options import SkinOptions
+from shell.skin_options import Insecure, SkinOptions
 from skin.layout import Layout, require_boards
 from views.show.foxglove_canvas import FoxgloveCanvas
 from views.show.painter import SERVICE, TOPICS, Canvas, Painter
@@ -24,6 +25,7 @@ def show(
     *,
     rerun: Annotated[bool, Parameter(negative=())] = False,
     foxglove: Annotated[bool, Parameter(negative=())] = False,
+    insecure: Insecure = False,
     of: SkinOptions | None = None,
 ) -> None:
     """Show a running skin in Rerun or Foxglove: image, taxels in their places, contacts, curves, log.
@@ -40,6 +42,8 @@ def show(
         Show the skin in Rerun; needs the extra canskin[rerun].
     foxglove
         Show the skin in Foxglove; needs the extra canskin[foxglove].
+    insecure
+        Serve Foxglove on a network: everybody there can see the skin.
     of
         Which skin.
 
@@ -52,18 +56,20 @@ def show(
     """
     if rerun == foxglove:
         raise InputError(f"skin show: expected --rerun or --foxglove, got {'both' if rerun else 'neither'}")
-    open_canvas = _opener(target, for_rerun=rerun)
+    open_canvas = _opener(target, for_rerun=rerun, insecure=insecure)
     stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     skin = of.find(stop)
     require_boards(skin)
     with (
-        closing(of.join(skin, SERVICE, stop)) as fabric,
+        closing(of.join(skin, SERVICE, pulse)) as fabric,
         closing(open_canvas(skin)) as canvas,
     ):
-        draw_live(skin, fabric, canvas, stop)
+        pulse.fabric = fabric
+        draw_live(skin, fabric, canvas, stop, pulse.beat)
 
 
-def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) -> Painter:
+def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal, beat: Beat = unheard) -> Painter:
     """Draw the newest messages of a running skin until `stop`."""
     painter, arrivals = Painter(layout, canvas), Arrivals(fabric, TOPICS)
     while not stop.is_set():
@@ -73,15 +79,16 @@ def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) 
         for message in taken:
             painter.take(message, now_s, time_ns)
         painter.look(now_s, time_ns, arrivals.malformed)
+        beat(0)
     return painter
 
 
-def _opener(target: str, *, for_rerun: bool) -> Callable[[Layout], Canvas]:
+def _opener(target: str, *, for_rerun: bool, insecure: bool) -> Callable[[Layout], Canvas]:
     """Check the target, before anything else is opened; return what opens the canvas."""
     if for_rerun:
         viewer = rerun_target(target)
         return lambda skin: RerunCanvas(skin, viewer)
-    app = foxglove_target(target)
+    app = foxglove_target(target, insecure=insecure)
     return lambda skin: _serving(FoxgloveCanvas(skin, app))
 
 

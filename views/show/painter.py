@@ -67,7 +67,7 @@ class Painter:
         self._wall, self._state = wall or WallTimes(), ViewState(layout, service=SERVICE)
         self._sending_ratio = float(layout.phi().has_sums.mean())
         self._label = ""
-        self._notices: dict[str, Notice] = {}
+        self._notices: dict[tuple[str, str], Notice] = {}
         self._due_s = float("-inf")
         #: When contacts that are drawn came, and their sampling instant.
         self._contacts_at: tuple[float, int] | None = None
@@ -104,11 +104,12 @@ class Painter:
         if now_s < self._due_s:
             return
         self._due_s = now_s + NOTICES_S
-        found = {notice.kind or notice.text: notice for notice in self._state.snapshot(now_s, undecodable)[0].notices}
-        for kind in found.keys() - self._notices.keys():
-            self._canvas.line(time_ns, found[kind].level, found[kind].text)
-        for kind in self._notices.keys() - found.keys():
-            self._canvas.line(time_ns, "info", f"over: {self._notices[kind].text}")
+        notices = self._state.snapshot(now_s, undecodable)[0].notices
+        found = {(each.code, each.subject): each for each in notices}
+        for key in found.keys() - self._notices.keys():
+            self._canvas.line(time_ns, found[key].level, f"{found[key].text} [{found[key].code}]")
+        for key in self._notices.keys() - found.keys():
+            self._canvas.line(time_ns, "info", f"over: {self._notices[key].text} [{self._notices[key].code}]")
         self._notices = found
 
     def _contacts(self, contacts: Contacts, now_s: float) -> None:

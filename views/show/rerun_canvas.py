@@ -1,6 +1,7 @@
 """A skin in Rerun (https://rerun.io): the live viewer, or a file (.rrd) for it."""
 
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +14,7 @@ from skin.layout import Layout
 from skin.plane import view_of
 from skin.surface import Surface
 from skin.taxel_places import Forces, contact_place_m, force_colours, radius_m, turned_to
+from views.show.target import LOOPBACK
 
 IMAGE: Final = "skin/image"
 #: The image in colours: on a tensor Rerun gives taxels without a value the colour of the largest force.
@@ -27,6 +29,8 @@ SAMPLED: Final = "sampled"
 CYCLE: Final = "cycle"
 #: Length of the arrow of a contact, in pitches.
 _ARROW: Final = 4.0
+#: Port of a viewer that is started here: Rerun's own default.
+PORT: Final = 9876
 #: A viewer that runs answers within this time.
 _ANSWER_S: Final = 5.0
 _LEVELS: Final = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
@@ -38,7 +42,8 @@ class RerunCanvas:
     Parameters
     ----------
     target : str or pathlib.Path, optional
-        URL of a running viewer, ``rerun+http://HOST:9876/proxy``, or a new file (.rrd); default: start the viewer.
+        URL of a running viewer, ``rerun+http://HOST:9876/proxy``, or a new file (.rrd); default: start the viewer,
+        which listens on loopback alone.
 
     Raises
     ------
@@ -53,12 +58,10 @@ class RerunCanvas:
         self._stream.set_log_time_enabled(enabled=False)
         blueprint = _blueprint(rr, layout)
         try:
-            if target is None:
-                self._stream.spawn(default_blueprint=blueprint)
-            elif isinstance(target, Path):
+            if isinstance(target, Path):
                 self._stream.save(target, default_blueprint=blueprint)
             else:
-                self._stream.connect_grpc(target, default_blueprint=blueprint)
+                self._stream.connect_grpc(target or _start_viewer(), default_blueprint=blueprint)
                 self._stream.flush(timeout_sec=_ANSWER_S)  # no viewer is no error before that
         except (RuntimeError, ValueError) as error:
             raise RunError(f"Rerun: {error}") from error
@@ -176,6 +179,24 @@ def _eye(rrb: Any, surface: Surface) -> Any:
     _, down, away = view_of(surface)
     size_m = float(np.ptp(surface.positions_m, axis=0).max()) + surface.pitch_m
     return rrb.EyeControls3D(position=middle_m - 1.2 * size_m * away, look_target=middle_m, eye_up=-down)
+
+
+def _start_viewer() -> str:
+    """Start a viewer on loopback, unless a program listens on `PORT`; return its URL.
+
+    Rerun's own `spawn` would listen on every network, and looks for the program in PATH alone.
+    """
+    import rerun_bindings
+    import rerun_cli
+
+    program = files(rerun_cli) / "rerun"
+    rerun_bindings.spawn(
+        port=PORT,
+        executable_path=str(program) if program.is_file() else None,  # of macOS the package has another
+        extra_args=["--bind", LOOPBACK],
+        extra_env=[("RERUN_APP_ONLY", "true")],
+    )
+    return f"rerun+http://{LOOPBACK}:{PORT}/proxy"
 
 
 def _rerun() -> Any:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from canskin.errors import InputError
-from canskin.session import HIGHEST_PORT
+from canskin.session import HIGHEST_PORT, is_loopback
 from shell.output import check_new_path
 
 LOOPBACK: Final = "127.0.0.1"
@@ -36,13 +36,21 @@ def rerun_target(text: str) -> str | Path | None:
     return f"rerun+http://{found.host}:{found.port}/proxy" if isinstance(found, Address) else found
 
 
-def foxglove_target(text: str) -> Address | Path:
-    """Return the address of the server that the app connects to, or a new file (.mcap)."""
+def foxglove_target(text: str, *, insecure: bool = False) -> Address | Path:
+    """Return the address of the server that the app connects to, or a new file (.mcap).
+
+    Only with `insecure` the address may be of a network.
+    """
     if not text:
         return Address(LOOPBACK, FOXGLOVE_PORT)
     if "://" in text:
         raise InputError(f"{text}: expected the HOST:PORT of a server, such as {LOOPBACK}:{FOXGLOVE_PORT}")
-    return _address_or_file(text, ".mcap")
+    found = _address_or_file(text, ".mcap")
+    if isinstance(found, Address) and not insecure and not is_loopback(found.host.strip("[]")):
+        raise InputError(
+            f"{text}: everybody on that network could see the skin: expected an address of loopback, or --insecure"
+        )
+    return found
 
 
 def _address_or_file(text: str, suffix: str) -> Address | Path:

@@ -14,7 +14,7 @@ from tests.processes import PATIENCE_S
 from views.page.actions import Action, SetMark
 from views.page.app import build_app
 from views.page.command import server_config
-from views.page.connections import REQUEST_S
+from views.page.connections import CONNECTIONS_OF_ADDRESS_MAX, REQUEST_S, WITHOUT_TOKEN_MAX
 from views.page.feed import Feed
 from views.page.guard import Access
 
@@ -25,6 +25,10 @@ MARK = (
     f"POST /api/mark?token={ACCESS.token} HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://127.0.0.1\r\n"
     'Content-Type: application/json\r\nContent-Length: 13\r\n\r\n{"label":"a"}'
 ).encode()
+LIVE = (
+    b"GET /ws HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
 #: Limits of the server here.
 OF_ADDRESS, ALL = 16, 24
 #: Longer than any limit of the server.
@@ -54,8 +58,8 @@ class Serving:
         opened.sendall(sent)
         return opened
 
-    def answers(self) -> bool:
-        return httpx.get(f"http://127.0.0.1:{self.port}/healthz", timeout=PATIENCE_S).status_code == 200
+    def answers(self, path: str = "healthz") -> bool:
+        return httpx.get(f"http://127.0.0.1:{self.port}/{path}", timeout=PATIENCE_S).status_code == 200
 
     def close(self) -> None:
         self.server.should_exit = True
@@ -103,6 +107,20 @@ def test_half_open_requests_of_many_addresses_leave_places(serving: Serving) -> 
             stack.enter_context(serving.open(source=f"127.0.1.{1 + place % 8}"))
         assert serving.answers()
         assert len(serving.server.server_state.connections) <= ALL
+
+
+@pytest.mark.heavy
+def test_pages_without_token_leave_places_to_one_with_the_token(messages: Any) -> None:
+    serving = Serving(messages)
+    with ExitStack() as stack:
+        stack.callback(serving.close)
+        opened = [stack.enter_context(serving.open(LIVE)) for _ in range(CONNECTIONS_OF_ADDRESS_MAX)]
+        begun = [each.recv(12) for each in opened]
+        assert begun.count(b"HTTP/1.1 101") == WITHOUT_TOKEN_MAX
+        assert begun.count(b"HTTP/1.1 403") == CONNECTIONS_OF_ADDRESS_MAX - WITHOUT_TOKEN_MAX
+        assert serving.answers()
+        assert serving.answers(f"?token={ACCESS.token}")
+        assert not serving.answers("")
 
 
 @pytest.mark.heavy

@@ -80,7 +80,7 @@ def test_contacts_curves_and_log(run: Path) -> None:
     position = scenes[1].entities[0].cylinders[0].pose.position
     assert (position.x, position.y) == (pytest.approx((2.5 - 7.5) * 0.004), pytest.approx((1.5 - 7.5) * 0.004))
     assert [value["value"] for _, _, value in messages_of(path, "/figures/valid_share")] == [0.0, 1.0, 1.0, 1.0]
-    assert "waiting for the gateway" in [line.message for _, _, line in messages_of(path, "/log")]
+    assert "waiting for the gateway [gateway-absent]" in [line.message for _, _, line in messages_of(path, "/log")]
 
 
 def test_doubtful_contacts_have_another_colour_and_a_question_mark(messages: Messages, tmp_path: Path) -> None:

@@ -95,10 +95,10 @@ def test_load_of_each_bus_and_notices_that_begin_and_end(painter: Painter, drawn
     painter.take(messages.gateway(nmt=((5, 5, 255, 5), (5, 5, 5, 5))), 1.0, WALL_NS)
     painter.look(1.0, WALL_NS)
     assert [(name, value) for _, name, value in drawn.figures] == [("load/left", 0.8), ("load/right", 0.8)]
-    assert ("warning", "left: node 3 silent") in drawn.lines
+    assert ("warning", "left: node 3 silent [node-silent]") in drawn.lines
     painter.take(messages.gateway(), 2.1, WALL_NS)
     painter.look(2.1, WALL_NS)
-    assert drawn.lines[-1] == ("info", "over: left: node 3 silent")
+    assert drawn.lines[-1] == ("info", "over: left: node 3 silent [node-silent]")
 
 
 def test_a_service_is_gone_when_its_token_is(painter: Painter, drawn: Drawn, messages: Messages) -> None:
@@ -107,10 +107,10 @@ def test_a_service_is_gone_when_its_token_is(painter: Painter, drawn: Drawn, mes
     painter.take(messages.image(), 0.0, WALL_NS)
     painter.look(0.0, WALL_NS)
     painter.look(1.0, WALL_NS)
-    assert ("error", "images stopped: no measurements without the gateway") in drawn.lines
+    assert ("error", "images stopped: no measurements without the gateway [gateway-gone]") in drawn.lines
     painter.take_peer(peer, False, 1.5)
     painter.look(2.0, WALL_NS)
-    assert ("error", "images stopped: reconstructor is gone") in drawn.lines
+    assert ("error", "images stopped: reconstructor is gone [service-gone]") in drawn.lines
 
 
 def test_a_recording_tells_of_no_service_that_it_is_gone(painter: Painter, drawn: Drawn, messages: Messages) -> None:
@@ -119,4 +119,4 @@ def test_a_recording_tells_of_no_service_that_it_is_gone(painter: Painter, drawn
     painter.take(messages.gateway(), 1.0, WALL_NS)
     painter.look(1.0, WALL_NS)
     errors = {text for level, text in drawn.lines if level == "error"}
-    assert errors == {"images stopped: no more came", "labels stopped: no more came"}
+    assert errors == {f"{each} stopped: no more came [service-silent]" for each in ("images", "labels")}

@@ -1,5 +1,8 @@
 """What Rerun's own reader finds in the files made for Rerun."""
 
+import os
+import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -9,6 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import rerun_bindings
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +25,9 @@ from skin.wall_times import CLOCKS, Clocks
 from tests import messages as make
 from tests.health.helpers import Messages
 from tests.layouts import tube_layout
+from tests.processes import free_port
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
+from views.show import rerun_canvas
 from views.show.command import draw_live
 from views.show.rerun_canvas import RerunCanvas
 
@@ -153,6 +159,26 @@ def test_doubtful_contacts_have_another_colour_and_a_question_mark(messages: Mes
     (row,) = rows_of(tmp_path / "it.rrd", "skin/space/contacts")
     assert row["Ellipsoids3D:labels"] == ["7: 376.6 mN", "7: 376.6 mN?"]
     assert len(set(row["Ellipsoids3D:colors"])) == 2
+
+
+@pytest.mark.heavy
+def test_a_viewer_that_is_started_listens_on_loopback_alone(
+    messages: Messages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, started, port = rerun_bindings.spawn, list[int](), free_port()
+
+    def start_without_window(*, extra_args: list[str], **options: Any) -> None:
+        started.append(start(extra_args=[*extra_args, "--serve-grpc"], **options) or 0)
+
+    monkeypatch.setattr(rerun_canvas, "PORT", port)
+    monkeypatch.setattr(rerun_bindings, "spawn", start_without_window)
+    canvas = RerunCanvas(messages.layout)
+    try:
+        with pytest.raises(ConnectionRefusedError):  # a server on all networks would be on all addresses of loopback
+            socket.create_connection(("127.0.0.2", port))
+        canvas.close()
+    finally:
+        os.kill(started[0], signal.SIGTERM)
 
 
 @pytest.mark.heavy

@@ -34,7 +34,13 @@ def test_viewers_of_rerun(text: str, expected: str | None) -> None:
     ],
 )
 def test_addresses_for_foxglove(text: str, expected: Address) -> None:
-    assert foxglove_target(text) == expected
+    assert foxglove_target(text, insecure=True) == expected
+
+
+@pytest.mark.parametrize("text", ["0.0.0.0:8766", "[::]:8766", "10.0.0.5:8766", "robot:8766"])
+def test_a_network_may_see_the_skin_in_foxglove_only_if_the_user_says_so(text: str) -> None:
+    with pytest.raises(InputError, match="expected an address of loopback"):
+        foxglove_target(text)
 
 
 def test_new_files(tmp_path: Path) -> None:

@@ -10,14 +10,14 @@ let written = "";
 
 /** Show notices; a notice with a known begin shows that time and the duration. */
 export function drawNotices(notices, time_s) {
-  const lines = notices.map(({ level, text, since_time_s }) => {
+  const lines = notices.map(({ level, code, text, mend, since_time_s }) => {
     const since = since_time_s === null ? "" : ` (since ${clock(since_time_s)}, ${span(Math.max(0, Math.floor(time_s - since_time_s)))})`;
-    return { level, text: text + since };
+    return { level, text: text + since, title: `${code}: ${mend}` };
   });
   const wanted = JSON.stringify(lines);
   if (wanted === written) return;
   written = wanted;
-  bar.replaceChildren(...lines.map(({ level, text }) => make("p", level, text)));
+  bar.replaceChildren(...lines.map(({ level, text, title }) => Object.assign(make("p", level, text), { title })));
 }
 
 /** State of a service: there, silent, differs, gone, unreached (the viewer has lost the hub), or unseen. */
