@@ -77,7 +77,7 @@ export class Images {
     const forces = Object.values(pictures);
     const peak = forces.reduce((most, each) => each.reduce((high, value) => Math.max(high, value), most), 0);
     const top = this.scale.top(peak);
-    const hatched = (snapshot.image?.invalid_blocks ?? []).flatMap((block) => this.taxelsOf[block]);
+    const hatched = (snapshot.image?.invalid_blocks ?? []).flatMap((block) => this.taxelsOf[block]).concat(this.skin.masked);
     const marked = this.block === null ? [] : this.taxelsOf[this.block];
     for (const name of NAMES) {
       if (pictures[name]) this.maps[name].draw(pictures[name], top, name === "image" ? hatched : [], marked, this.taxel);
@@ -113,7 +113,8 @@ export class Images {
   readout(snapshot, pictures) {
     const { image } = snapshot;
     if (this.block === null) return this.advice();
-    const measured = image && !image.invalid_blocks.includes(this.block) ? "" : ", not measured";
+    const isMasked = this.skin.masked.includes(this.taxel);
+    const measured = image && !image.invalid_blocks.includes(this.block) ? (isMasked ? ", masked" : "") : ", not measured";
     const where = `block ${this.block} · ${this.buses.place(this.block)}, ${this.buses.state(this.block)}${measured}`;
     if (this.taxel === null) return `${where} · ${this.taxelsOf[this.block].length} taxels outlined`;
     const mn = (name) => `${(1000 * pictures[name][this.taxel]).toFixed(2)} mN`;
