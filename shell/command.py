@@ -50,6 +50,7 @@ VERBS: Final = {
     "classify": "classifier.command:classify",
     "list": "health.list_command:list_",
     "view": "views.page.command:view",
+    "monitor": "views.monitor.command:monitor",
     "ros2": "views.ros2.command:ros2",
     "show": "views.show.command:show",
     "metrics": "views.metrics.command:metrics",
