@@ -62,8 +62,11 @@ def _gateway(state: Snapshot, own: str) -> Iterator[Notice]:
 
 
 def _misfits(state: Snapshot) -> Iterator[Notice]:
-    """Name services with another Φ or another version."""
+    """Name services with another Φ or another version, and those that lose messages."""
     for name, service in state.services.items():
+        if service.alive and service.loses_since_time_s is not None:
+            text = f"{name} is too slow: {service.lost} messages are lost so far"
+            yield Cause.SERVICE_DROPS.notice(text, name, service.loses_since_time_s)
         if service.alive and service.difference:
             yield Cause.SERVICE_DIFFERS.notice(service.difference, name, service.since_time_s)
 

@@ -1,16 +1,56 @@
 """The services of a skin: which are there, since when, and whether they can work with this skin."""
 
-from typing import Final
+from collections.abc import Iterable
+from typing import Final, TypeVar
 
 import msgspec
 
+from canskin.messages import ServiceStatus
 from canskin.peers import Peer
 from health.snapshot import Service
 
 #: Most services kept; the service that has been gone for longest is dropped first.
 SERVICES: Final = 64
-#: Most tokens kept, tokens of other skins included.
+#: Most tokens kept, tokens of other skins included, and most services whose own figures are kept.
 PEERS: Final = 256
+#: What services tell of themselves once a second is of no use after this time.
+TOLD_S: Final = 3.0
+#: A service loses messages until none has been lost for this time.
+LOSS_S: Final = 3.0
+
+Number = TypeVar("Number", int, float)
+
+
+class Told:
+    """What one service tells of itself, once a second."""
+
+    def __init__(self, status: ServiceStatus, now_s: float) -> None:
+        self.status, self.at_s = status, now_s
+        self.processor_ratio: float | None = None
+        self.made_per_s: float | None = None
+        self._loss_s: tuple[float, float] | None = None
+
+    @property
+    def lost(self) -> int:
+        """Number of messages since the start of its process."""
+        return self.status.missed + self.status.overruns
+
+    def take(self, status: ServiceStatus, now_s: float) -> None:
+        """Take what comes next."""
+        before, lost = self.status, self.lost
+        self.status, self.at_s = status, now_s
+        span_s = (status.time_ns - before.time_ns) * 1e-9
+        if span_s > 0:  # else its wall clock was set back
+            # What is no number becomes 0.
+            self.processor_ratio = max(0.0, status.processor_s - before.processor_s) / span_s
+            self.made_per_s = max(0, status.made - before.made) / span_s
+        if self.lost > lost:
+            since_s = self.loses_since_s(now_s)
+            self._loss_s = now_s if since_s is None else since_s, now_s
+
+    def loses_since_s(self, now_s: float) -> float | None:
+        """Return since when it loses messages; None if it does not."""
+        return self._loss_s[0] if self._loss_s and now_s - self._loss_s[1] < LOSS_S else None
 
 
 class Services:
@@ -28,6 +68,15 @@ class Services:
         self._own, self._epoch_s = own, epoch_s
         self._peers: dict[str, Peer] = {}
         self._services: dict[str, Service] = {}
+        self._told: dict[str, Told] = {}
+
+    def take_status(self, status: ServiceStatus, now_s: float) -> None:
+        """Note what a service told of itself at `now_s`."""
+        told = self._told.pop(status.instance, None) or Told(status, now_s)
+        told.take(status, now_s)
+        self._told[status.instance] = told
+        if len(self._told) > PEERS:
+            del self._told[next(iter(self._told))]
 
     def take(self, peer: Peer, alive: bool, now_s: float) -> None:
         """Note that a peer of any skin came or went at `now_s`."""
@@ -55,24 +104,37 @@ class Services:
         known = self._services.get(name)
         return known.since_time_s - self._epoch_s if known is not None and known.alive == alive else None
 
-    def states(self) -> dict[str, Service]:
-        """Return the state of each service, by name."""
-        return {name: self._state(name) for name in sorted(self._services)}
+    def states(self, now_s: float) -> dict[str, Service]:
+        """Return the state of each service at `now_s`, by name."""
+        return {name: self._state(name, now_s) for name in sorted(self._services)}
 
     def other_skins(self) -> list[str]:
         """Return the names of other skins with services that know their layout."""
         return sorted({peer.skin for peer in self._peers.values() if peer.fingerprint} - {self._own.skin})
 
-    def _state(self, name: str) -> Service:
+    def _state(self, name: str, now_s: float) -> Service:
         """Return the state of a service; of several with one name, of one that cannot work with this skin."""
         peers, service = self.peers(name), self._services[name]
         if not peers:
             return service
         peer = next((each for each in peers if self._own.difference(each)), peers[-1])
+        told = [self._told[each.instance] for each in peers if each.instance in self._told]
+        told = [each for each in told if now_s - each.at_s < TOLD_S]
+        loses_since_s = [since_s for each in told if (since_s := each.loses_since_s(now_s)) is not None]
         return msgspec.structs.replace(
             service,
             version=peer.version,
             fingerprint=peer.fingerprint,
             scheduling=peer.scheduling,
             difference=self._own.difference(peer),
+            memory_bytes=_sum(each.status.memory_bytes or None for each in told),
+            processor_ratio=_sum(each.processor_ratio for each in told),
+            made_per_s=_sum(each.made_per_s for each in told),
+            lost=sum(each.lost for each in told),
+            loses_since_time_s=self._epoch_s + min(loses_since_s) if loses_since_s else None,
         )
+
+
+def _sum(values: Iterable[Number | None]) -> Number | None:
+    known = [each for each in values if each is not None]
+    return sum(known) if known else None

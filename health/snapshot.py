@@ -57,6 +57,13 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
         From the token; see `canskin.peers.Peer`.
     difference : str
         Why the service cannot work with this page's skin; empty if it can.
+    memory_bytes, processor_ratio, made_per_s : int or float, or None
+        Of the last second, as `canskin.messages.ServiceStatus` tells: resident memory, processor time / time, and what
+        the service made. Those of all services of this name together; None if none tells.
+    lost : int
+        Messages that did not come, or came too fast, since the start of the processes.
+    loses_since_time_s : float or None
+        Wall-clock time since when more and more are lost.
     """
 
     alive: bool
@@ -66,6 +73,11 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str = ""
     scheduling: str = ""
     difference: str = ""
+    memory_bytes: int | None = None
+    processor_ratio: float | None = None
+    made_per_s: float | None = None
+    lost: int = 0
+    loses_since_time_s: float | None = None
 
 
 class ImageState(msgspec.Struct, frozen=True, kw_only=True):

@@ -15,6 +15,7 @@ from canskin.messages import (
     LABEL,
     MARK,
     NODES,
+    SERVICES,
     TRUTH,
     Contacts,
     GatewayStatus,
@@ -22,6 +23,7 @@ from canskin.messages import (
     Label,
     Mark,
     NodesStatus,
+    ServiceStatus,
     Truth,
 )
 from canskin.peers import Peer, new_peer
@@ -50,7 +52,7 @@ from skin.layout import Layout
 from skin.psnr import adds_noise
 
 #: What a `ViewState` takes.
-TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES)
+TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES, SERVICES)
 #: Images, contacts, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
@@ -179,6 +181,9 @@ class ViewState:
         if not fits(message, self._layout):
             self.ignored += 1
             return False
+        if isinstance(message, ServiceStatus):  # a service hears itself, also without the hub
+            self._services.take_status(message, now_s)
+            return True
         self._came_s = now_s
         match message:
             case Image():
@@ -331,7 +336,7 @@ class ViewState:
         status, is_stale = self._gateway.message, self._gateway.is_stale(now_s)
         has_input = status and not is_stale and 0 < STATUS_FRESH_S * status.sync_rate_hz < status.cycles
         at_s = {"classifier": self._label.at_s, "reconstructor": self._image.at_s}
-        found = self._services.states()
+        found = self._services.states(now_s)
         for name, service in found.items():
             since_s = self._services.since_s(name, alive=True)
             if since_s is None:

@@ -22,6 +22,7 @@ from canskin.messages import (
     Image,
     Label,
     NodesStatus,
+    ServiceStatus,
     SteppedMeasurement,
     Truth,
 )
@@ -161,3 +162,16 @@ def gateway_status(cycles: int = 1, **changed: Any) -> GatewayStatus:
 def nodes_status(process: str = "nodes", **changed: Any) -> NodesStatus:
     """Return the counters of a process that has lost no frame."""
     return replace(NodesStatus(time_ns=0, process=process, frames_sent=0, frames_dropped=0, syncs_seen=10), **changed)
+
+
+def service_status(second: int, service: str = "reconstructor", instance: str = "1", **changed: Any) -> ServiceStatus:
+    """Return what a service tells of itself in a second of its life: 100 things made, half of the time at work."""
+    made = ServiceStatus(
+        time_ns=second * 1_000_000_000,
+        service=service,
+        instance=instance,
+        memory_bytes=1 << 20,
+        processor_s=0.5 * second,
+        made=100 * second,
+    )
+    return replace(made, **changed)

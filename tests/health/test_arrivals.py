@@ -4,6 +4,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, cast
 
+import pytest
+
 from canskin.fabric import Fabric, Unread
 from canskin.messages import IMAGE, LABEL, Topic
 from health.arrivals import Arrivals
@@ -23,12 +25,14 @@ class FabricStub:
         pass
 
 
-def test_only_the_newest_message_of_a_topic_waits() -> None:
+@pytest.mark.parametrize("depth", [1, 3])
+def test_only_the_newest_messages_of_a_topic_wait(depth: int) -> None:
     fabric = FabricStub()
-    arrivals = Arrivals(cast("Fabric", fabric), (IMAGE, LABEL))
+    arrivals = Arrivals(cast("Fabric", fabric), (IMAGE, LABEL), depth)
     for number in range(5):
         fabric.handlers["image"](partial(label, 1, f"image {number}"))
         fabric.handlers["label"](partial(label, 1, f"label {number}"))
-    assert arrivals.take(0.0) == [label(1, "image 4"), label(1, "label 4")]
-    assert arrivals.skipped == 8
+    kept = range(5 - depth, 5)
+    assert arrivals.take(0.0) == [label(1, f"{each} {number}") for each in ("image", "label") for number in kept]
+    assert arrivals.skipped == 2 * (5 - depth)
     assert arrivals.take(0.0) == []
