@@ -66,7 +66,7 @@ class NodeContract:
     """One CANopen node: `blocks` blocks of the skin from `block` on, and the frames it sends.
 
     `flags` are the flags of its PDOs (`dbc.frame`); all its other frames are classic. `forms` are those of the parts of
-    a stepped node.
+    a stepped node. A node that `is_optional` may be absent.
     """
 
     bus: int
@@ -78,6 +78,7 @@ class NodeContract:
     flags: int
     tpdos: tuple[Tpdo, ...]
     forms: tuple[steps.Form, ...] = ()
+    is_optional: bool = False
 
     @property
     def in_steps(self) -> bool:
@@ -167,6 +168,14 @@ class Contract:
         """Numbers of the sums that come in each turn."""
         parts = (self.table.gather[self.table.turn == turn] for turn in range(self.turns))
         return [part[part >= 0] for part in parts]
+
+    @cached_property
+    def needed(self) -> npt.NDArray[np.bool_]:
+        """Blocks that a complete cycle has: those with sums, of nodes that are not optional; bool, shape (blocks,)."""
+        needed = self.phi.has_sums.copy()
+        for node in self.nodes:
+            needed[node.block : node.block + node.blocks] &= not node.is_optional
+        return needed
 
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
@@ -292,7 +301,9 @@ def _phi_and_nodes(layout: Layout) -> tuple[Sbhe, Packing, tuple[NodeContract, .
                 forms = tuple(steps.forms(len(sums), is_fd=bus.fd))
                 tpdos = _tpdos_of_parts(bus, number, place, sums, forms)
             flags, blocks = frame_flags(bus), bus.blocks_per_node
-            nodes.append(NodeContract(number, node_id, block, blocks, len(sums), pack, flags, tpdos, forms))
+            is_optional = node_id in (bus.optional or ())
+            node = NodeContract(number, node_id, block, blocks, len(sums), pack, flags, tpdos, forms, is_optional)
+            nodes.append(node)
     return phi, pack, tuple(nodes)
 
 

@@ -56,7 +56,7 @@ _NEVER: Final = SYNC_OVERFLOW
 class Gathered:
     """One cycle: `sums` int32 (m,), 0 where invalid; `valid` bool (blocks,); `times` of the sampling.
 
-    A block without sums is never valid; a cycle is `complete` if all other blocks are.
+    A block without sums is never valid; a cycle is `complete` if all others of nodes that are not optional are.
     """
 
     sums: npt.NDArray[np.int32]
@@ -364,4 +364,4 @@ class Collector:
         )
         sums = packing.counts(self._state.raw)
         sums[~self._phi.sums_of_blocks(valid)] = 0
-        return Gathered(sums, valid, self._times.close(counter), bool(valid[self._phi.has_sums].all()))
+        return Gathered(sums, valid, self._times.close(counter), bool(valid[self._contract.needed].all()))

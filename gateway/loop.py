@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from bus.link import Link, Send, State
-from canskin.messages import BusState, GatewayStatus, Measurement
+from canskin.messages import BusState, GatewayStatus, Measurement, NodeEmergency
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import Frames
@@ -287,7 +287,11 @@ class GatewayLoop:
         self.sync.start(now_s + SETTLE_S)
         for bus in self._buses.values():
             bus.load.restart(now_s + SETTLE_S)
-            absent = bus.master.awaited
+            awaited = bus.master.awaited
+            optional = [each for each in awaited if bus.master.nodes[each].contract.is_optional]
+            absent = [each for each in awaited if each not in optional]
+            if optional:
+                self._say(f"{bus.name}: starts without optional nodes {ranges_text(optional)}")
             if absent:
                 self._say(f"{bus.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
                 bus.send(anybody_without_node_id())
@@ -309,7 +313,7 @@ class GatewayLoop:
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]
-        nodes = bus.master.nodes.values()
+        nodes, wall_s = bus.master.nodes.values(), time.time() - now_s
         missing, late = zip(*(self.gathering.missing_and_late(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
@@ -327,5 +331,10 @@ class GatewayLoop:
             faults=bus.master.faults,
             answer_s=[node.answer_s.of(now_s) for node in nodes],
             heartbeat_s=[node.heartbeat_s.of(now_s) for node in nodes],
+            emergencies=[
+                NodeEmergency(node.contract.node_id, code, round(1e9 * (wall_s + at_s)))
+                for node in nodes
+                for code, at_s in node.emergencies
+            ],
             other_sync=bus.master.strangers.words if now_s - bus.other_sync_s < OTHER_SYNC_S else "",
         )

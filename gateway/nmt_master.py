@@ -102,8 +102,8 @@ class NmtMaster:
 
     @property
     def passed(self) -> bool:
-        """Whether every node's first dialogue has ended, with or without an answer."""
-        return all(node.asked for node in self.nodes.values())
+        """Whether the first dialogue of every node that is not optional has ended, with or without an answer."""
+        return all(node.asked or node.contract.is_optional for node in self.nodes.values())
 
     @property
     def is_quiet(self) -> bool:

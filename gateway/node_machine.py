@@ -5,6 +5,7 @@ used in the states `IN_USE` and `IN_USE_CHECKED`. The NMT state of CiA 301, whic
 `NodeMachine.nmt`. Time and frames are arguments; no function waits.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, auto
@@ -30,6 +31,8 @@ LATER_S: Final = 60.0
 STABLE_S: Final = 10.0
 #: On the bus, a heartbeat with the old state may come this much later than the NMT start.
 UNDER_WAY_NS: Final = 300_000_000
+#: Emergencies of a node that are kept.
+HISTORY: Final = 8
 #: An emergency at most this long before a node left is logged as the reason.
 EXPLAINS_S: Final = 2.0
 
@@ -165,6 +168,8 @@ class NodeMachine:
         Why they were given up.
     is_other_device : bool
         The newest proof has found another identity.
+    emergencies : deque of (int, float)
+        Its newest error codes, and when they came.
     answer_s, heartbeat_s : Spread
         Times of answers, and between heartbeats.
     """
@@ -197,6 +202,7 @@ class NodeMachine:
     hint: str = ""
     loss: NodeFault = _STARTING
     is_other_device: bool = False
+    emergencies: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=HISTORY))
     answer_s: Spread = field(default_factory=Spread)
     heartbeat_s: Spread = field(default_factory=Spread)
 
@@ -208,7 +214,7 @@ class NodeMachine:
         if self.refusal:
             return NodeFault(Fault.OTHER_DEVICE if self.is_other_device else Fault.REFUSED, self.refusal)
         if self.nmt == SILENT and self.heard_s == -np.inf:
-            return NodeFault(Fault.ABSENT)
+            return NodeFault(Fault.AWAY if self.contract.is_optional else Fault.ABSENT)
         if self.nmt != SILENT and self.tries >= _IN_VAIN and self.loss.kind in {Fault.STARTING, Fault.SILENT}:
             return NodeFault(Fault.UNANSWERED, f"{self.tries} proofs begun in vain")
         return self.loss
@@ -261,6 +267,7 @@ class NodeMachine:
     def take_emergency(self, code: int, now_s: float) -> None:
         """Use an emergency; code 0: no error is left."""
         self.emcy = code
+        self.emergencies.append((code, now_s))
         self.emcy_s = now_s if code else -np.inf
         if code:
             self.bus.emergencies.append((self.contract.node_id, code))
@@ -383,7 +390,8 @@ class NodeMachine:
             return
         act, self.state = found
         if act is NodeMachine._stop_using:
-            self.loss = NodeFault(_FAULTS[event], why)
+            is_away = self.contract.is_optional and event is Event.LOST
+            self.loss = NodeFault(Fault.AWAY if is_away else _FAULTS[event], why)
         if self.state not in _CHECKED:
             self.dialogue = None
         if self.state not in REFUSED:

@@ -180,7 +180,7 @@ class SteppedGathering:
         self._judge(now_s)
         shown = self._shown
         self.published += 1
-        self.complete += bool(shown.valid.all())
+        self.complete += bool(shown.valid[self._contract.needed].all())
         return SteppedMeasurement(
             cycle=self.published,
             sync_counter=self._counter,

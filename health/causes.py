@@ -56,6 +56,7 @@ class Cause(Enum):
         "a board was never heard",
         "power and plug it; 'skin scan' tells another node-ID",
     )
+    NODE_AWAY = (INFO, "an optional board is not there", "plug the board in if it is wanted")
     NODE_SILENT = (WARNING, "a board is silent", "check its supply and plug")
     NODE_OTHER_DEVICE = (
         WARNING,

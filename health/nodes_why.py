@@ -23,6 +23,7 @@ LATE_RATIO: Final = 0.9
 #: By why the gateway does not use a node: words for several nodes.
 _FAULTS: Final = {
     Fault.ABSENT: "never heard",
+    Fault.AWAY: "optional, not there",
     Fault.SILENT: "silent",
     Fault.OTHER_DEVICE: "refused by the gateway: another device",
     Fault.REFUSED: "refused by the gateway: not of this skin",

@@ -257,6 +257,8 @@ def _check_node_ids(bus: Bus, path: str) -> None:
         raise LayoutError(
             f"expected {bus.nodes} node-IDs (`nodes`), or no `nodes`, got {len(bus.ids)} - at `{path}.node_ids`"
         )
+    if others := set(bus.optional or ()) - set(bus.ids):
+        raise LayoutError(f"expected node-IDs of the bus, got {min(others)} - at `{path}.optional`")
     if bus.ids[-1] > NODES_MAX:
         limit = f"expected {NODES_MAX + 1 - bus.nodes} or less, for {bus.nodes} node-IDs up to {NODES_MAX}"
         raise LayoutError(f"{limit}, got {bus.first_node_id} - at `{path}.first_node_id`")

@@ -234,14 +234,16 @@ NodeId = Annotated[int, msgspec.Meta(ge=1, le=NODES_MAX)]
 class Bus(_Table, frozen=True, kw_only=True):
     """One CAN bus: `nodes` boards, nominal `bitrate` in bit/s, and the messages of other devices (`foreign`).
 
-    The boards have consecutive node-IDs from `first_node_id` on, default 1, or those of `node_ids`. With `fd` the sums
-    are sent in CAN FD frames of up to 64 bytes, with the data phase at `data_bitrate` if given.
+    The boards have consecutive node-IDs from `first_node_id` on, default 1, or those of `node_ids`; those of `optional`
+    may be absent (CiA 302-2). With `fd` the sums are sent in CAN FD frames of up to 64 bytes, with the data phase at
+    `data_bitrate` if given.
     """
 
     name: Name
     nodes: Annotated[int, msgspec.Meta(ge=1, le=NODES_MAX)]
     first_node_id: NodeId | None = None
     node_ids: Annotated[tuple[NodeId, ...], msgspec.Meta(min_length=1)] | None = None
+    optional: Annotated[tuple[NodeId, ...], msgspec.Meta(min_length=1)] | None = None
     blocks_per_node: Literal[1, 2, 4, 8] = 1
     bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=BITRATE_MAX)] = BITRATE_MAX
     fd: bool = False

@@ -414,6 +414,7 @@ class Fault(str, Enum):
     """Why the gateway does not use the sums of a node."""
 
     ABSENT = "absent"  #: Never heard since the start of the gateway.
+    AWAY = "away"  #: Absent or silent, as an optional node may be.
     SILENT = "silent"  #: Its heartbeat is overdue.
     OTHER_DEVICE = "other-device"  #: Its identity (1018h) or type (1000h) is another.
     REFUSED = "refused"  #: Its configuration is another.
@@ -439,6 +440,14 @@ class NodeFault(Told, frozen=True):
         return f"node-{self.kind}"
 
 
+class NodeEmergency(msgspec.Struct, frozen=True):
+    """An emergency of a node: its error code, 0 when no error is left (CiA 301, 7.2.7.1), and when it came."""
+
+    node: int
+    code: int
+    time_ns: int
+
+
 class BusState(Told, frozen=True, kw_only=True):
     """State of one bus, from the gateway.
 
@@ -454,6 +463,8 @@ class BusState(Told, frozen=True, kw_only=True):
         Number of frames per node since the start that did not come in their cycle, and that came too late.
     emcy : list of int
         Error code of each node's newest emergency, 0 for none (CiA 301, 7.2.7.1).
+    emergencies : list of NodeEmergency
+        The newest ones of each node since the gateway's start, up to `gateway.node_machine.HISTORY`, the oldest first.
     link : str
         Worst state of the gateway's controller since the last status: active, warning, passive, bus_off, or lost.
     trouble : str
@@ -487,6 +498,7 @@ class BusState(Told, frozen=True, kw_only=True):
     answer_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
     heartbeat_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
     other_sync: str = ""
+    emergencies: list[NodeEmergency] = msgspec.field(default_factory=list)
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canskin.messages import SILENT
+from canskin.messages import SILENT, Fault, NodeFault
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -25,8 +25,8 @@ from gateway.node_machine import PAUSES_S
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
 from tests.gateway.boards import SdoServer
-from tests.layouts import buses, small_layout
-from tests.world import FOREVER_NS, PERIOD_S, EndOfWire, World, swap_mapping, valid
+from tests.layouts import buses, small_contract, small_layout
+from tests.world import FOREVER_NS, PERIOD_S, STEP_S, EndOfWire, World, swap_mapping, valid
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
@@ -108,6 +108,32 @@ def test_absent_nodes_do_not_keep_sync_waiting(small: Contract) -> None:
     assert "bus1: no answer yet from nodes 1-2" in world.lines
 
 
+def test_optional_nodes_come_and_go_and_nothing_is_wrong() -> None:
+    """SYNC and complete cycles wait for the other bus alone."""
+    world = World(small_contract(bus=[*buses(2), *buses(2, names=["tip"], optional=[1, 2])]))
+    wire = world.wires[1]
+
+    def is_away(end: EndOfWire, each: np.void) -> bool:
+        return end is wire.nodes or not each["flags"] & ECHO
+
+    wire.loses = is_away
+    started_s = world.now_s
+    while not world.measured:
+        world.step()
+    assert world.now_s - started_s < 1.0
+    world.run(1.0)
+    status = world.status()
+    assert status.cycles == status.cycles_complete > 0
+    assert status.buses[1].faults == dict.fromkeys((1, 2), NodeFault(Fault.AWAY))
+    assert world.lines == ["tip: starts without optional nodes 1-2"]
+    wire.loses = None
+    world.until(lambda: bool(valid(world.measured[-1]).all()))
+    wire.loses = is_away
+    world.run(2 * SILENT_AFTER_S)
+    assert {each.kind for each in world.status().buses[1].faults.values()} == {Fault.AWAY}
+    assert world.status().cycles == world.status().cycles_complete
+
+
 def test_another_sync_producer_is_complained_of_once(world: World) -> None:
     world.wires[1].put(SYNC_COB_ID, bytes((world.gateway.sync.counter + 2,)))
     world.run(3 * LOOK_PERIOD_S)
@@ -123,6 +149,9 @@ def test_emergency_of_a_node_is_complained_of(world: World) -> None:
     world.wires[0].put(EMCY_BASE + 1, bytes(8))
     world.run(0.5)
     assert world.status().buses[0].emcy == [0, 0]
+    first, second = world.status().buses[0].emergencies
+    assert [(each.node, each.code) for each in (first, second)] == [(1, 0xFF10), (1, 0)]
+    assert second.time_ns - first.time_ns == pytest.approx(0.5e9, abs=2 * STEP_S * 1e9)
     assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
 
 

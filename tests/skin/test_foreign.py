@@ -105,6 +105,7 @@ def test_a_clash_names_the_dbc(tmp_path: Path) -> None:
         ({"foreign_dbc": 3}, r"expected text in quotes, got 3 - at `\$.bus.0..foreign_dbc"),
         ({"foreign_dcb": "a.dbc"}, "did you mean `foreign_dbc`"),
         ({"node_ids": []}, "expected 1 entry or more, got 0 - at"),
+        ({"optional": [1, 99]}, r"expected node-IDs of the bus, got 99 - at `\$.bus.0..optional`"),
         ({"foreign": [message(), message(identifier=5)]}, "'drive' and 'drive' have the same name"),
     ],
 )
