@@ -12,6 +12,7 @@ import numpy.typing as npt
 from numba import int64, void
 
 from bus.error_frames import State
+from bus.interface import InterfaceError
 from bus.protocol import (
     HEADER,
     MAX_FRAMES,
@@ -197,7 +198,7 @@ class ArbitratedLink(ReconnectingLink):
     def _read_welcome(self, packet: bytes) -> Welcome:
         header, payload = unpack(packet)
         if header.kind != Kind.WELCOME:
-            raise BusError(f"bus '{self.channel}' refuses: {payload.tobytes().decode(errors='replace')}")
+            raise InterfaceError(f"bus '{self.channel}' refuses: {payload.tobytes().decode(errors='replace')}")
         return unpack_json(payload, Welcome)
 
 

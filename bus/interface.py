@@ -36,6 +36,10 @@ _STATES: Final = (State.ACTIVE, State.WARNING, State.PASSIVE, State.BUS_OFF)
 _STATE_NAMES: Final = ("error-active", "error-warning", "error-passive", "bus-off")
 
 
+class InterfaceError(BusError):
+    """An interface is there, and set otherwise than wanted."""
+
+
 class Mode(IntFlag):
     """Modes of a controller, ``CAN_CTRLMODE_*``, in which a bus does not work as it should."""
 
@@ -245,7 +249,7 @@ def check_interface(channel: str, about: Interface, wanted: Wanted) -> str:
 
     Raises
     ------
-    BusError
+    InterfaceError
         If the interface cannot work; the message ends with the command that mends everything.
     """
     found = list(_differences(about, wanted))
@@ -261,7 +265,7 @@ def check_interface(channel: str, about: Interface, wanted: Wanted) -> str:
     words += ["type can", *options] if options else []
     said = f"{channel}: {'; '.join(each.text for each in found)}: '{' '.join(words)}'"
     if any(each.is_grave for each in found):
-        raise BusError(f"cannot open {said}")
+        raise InterfaceError(f"cannot open {said}")
     return said
 
 

@@ -21,6 +21,8 @@ Send = Callable[[Frames], int]
 NAME_MAX: Final = 15
 #: The interface name of `skin bus`.
 ARBITRATED: Final = "canskin"
+#: That of the kernel's interfaces.
+SOCKETCAN: Final = "socketcan"
 
 
 class Link(Protocol):
@@ -90,7 +92,7 @@ def check_channels(interface: str, names: Sequence[str]) -> None:
         if not name:
             raise InputError("expected the name of a channel, such as can0, got an empty name")
         refused = name in {".", ".."} or len(os.fsencode(name)) > NAME_MAX or re.search(r"[/:\s]", name)
-        if interface == "socketcan" and refused:
+        if interface == SOCKETCAN and refused:
             wanted = f"expected an interface's name of 1 to {NAME_MAX} bytes without space, '/' and ':'"
             raise InputError(f"{wanted}, such as can0, got {name!r}")
     if twice := [name for name in names if names.count(name) > 1]:
@@ -138,16 +140,16 @@ def open_link(
     InputError
         If there are options for an interface that takes none.
     BusError
-        If the interface cannot be opened.
+        If the interface cannot be opened; `bus.interface.InterfaceError` if it is there, and set otherwise than wanted.
     """
-    if options and interface in {ARBITRATED, "socketcan"}:
+    if options and interface in {ARBITRATED, SOCKETCAN}:
         raise InputError(f"expected no bus option for the interface '{interface}', got {', '.join(options)}")
     if interface == ARBITRATED:
         from bus.arbitrated import ArbitratedLink
 
         hello = Hello(name=name, bitrate=bitrate, data_bitrate=data_bitrate, fd=fd)
         return ArbitratedLink(channel, hello, wait_s=wait_s, stop=stop)
-    if interface == "socketcan":
+    if interface == SOCKETCAN:
         from bus.interface import Wanted
         from bus.socketcan import SocketCanLink
 

@@ -8,7 +8,7 @@ from typing import Annotated, TypeVar
 
 from cyclopts import Parameter
 
-from bus.link import ARBITRATED, Link, check_channels, open_link
+from bus.link import ARBITRATED, SOCKETCAN, Link, check_channels, open_link
 from canskin.errors import InputError
 from shell.service import StopSignal
 from skin.layout import Layout
@@ -74,8 +74,9 @@ def open_links(
     name: str = "link",
     sends: bool = True,
     stop: StopSignal | None = None,
+    wait_s: float = OPEN_WAIT_S,
 ) -> dict[int, Link]:
-    """Open the links of the buses numbered `wanted`, default all; `name` and `sends` as of `bus.link.open_link`.
+    """Open the links of the buses numbered `wanted`, default all; the others as of `bus.link.open_link`.
 
     If `stop` is set during the wait for a bus, `canskin.errors.Stopped` is raised.
     """
@@ -90,7 +91,7 @@ def open_links(
             data_bitrate=bus.data_bitrate,
             name=name,
             sends=sends,
-            wait_s=OPEN_WAIT_S,
+            wait_s=wait_s,
             stop=stop,
             options=typed,
         )
@@ -116,7 +117,7 @@ def open_channels(
     found = {}
     for channel in options.channel:
         rate, data_rate, fd = bitrate, data_bitrate, data_bitrate is not None
-        if options.interface == "socketcan":
+        if options.interface == SOCKETCAN:
             rate, data_rate, fd = _own_rates(channel, bitrate, data_bitrate)
         found[channel] = open_link(
             options.interface,

@@ -95,7 +95,8 @@ class Calibrator:
         self._finder = FieldFinder(phi, taxels.surface)
         nothing = np.zeros(phi.shape[0])
         self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
-        self._defects = DefectFinder(phi, taxels.surface, QUIET_COUNTS * sum_step_n(layout), say)
+        self._defects = DefectFinder(phi, taxels.surface, QUIET_COUNTS * sum_step_n(layout), say, taxels.force_max_n)
+        self._left_out: Bools = nothing != 0
         self._taring = Taring(self._finder, least_noise_n(layout))
         temperature = TemperatureModel(phi.blocks)
         self._new_zero = partial(FollowedZero, layout, self._finder, temperature, self._windows.length_ns)
@@ -156,6 +157,19 @@ class Calibrator:
         self._corrections.doubt(self._phi.of_taxels(blocks), time_ns)
         self._corrections.take(self._followed, tares=self._tares)
 
+    @property
+    def stands_still(self) -> Bools:
+        """Blocks whose sums do not change any more, although they have noise, shape (blocks,)."""
+        return self._defects.stands_still
+
+    def leave_out(self, blocks: Bools) -> None:
+        """Use no sums of some blocks, shape (blocks,), until the next call."""
+        self._left_out = self._phi.sums_of_blocks(blocks)
+
+    @property
+    def _usable(self) -> Bools:
+        return self._defects.found.usable & ~self._left_out
+
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
         self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
@@ -196,7 +210,7 @@ class Calibrator:
 
         Sums that are defective or have no offset are not usable in it.
         """
-        return self._corrections.apply(measurement, self._followed, self._defects.found.usable)
+        return self._corrections.apply(measurement, self._followed, self._usable)
 
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement as it came, without saturated sums; most of it is left to `work`."""
@@ -223,7 +237,7 @@ class Calibrator:
         if not self._tared_ns:  # a stored zero has none
             self._noise.learn_bias()
         if self._followed is not None and self._tares:
-            self._follow(self._followed, window._replace(mean_n=window.mean_n - self._noise.bias_n))
+            self._follow(self._followed, window)
         if self.state is not CalibrationState.FOLLOWING:
             self._measure(window)
         self._corrections.take(self._followed, tares=self._tares)
@@ -262,7 +276,7 @@ class Calibrator:
 
     def _follow(self, followed: FollowedZero, window: Window) -> None:
         """Follow the zero, and look for defects."""
-        followed.take(window, self._defects.found.usable)
+        followed.take(window._replace(mean_n=window.mean_n - self._noise.bias_n), self._usable)
         if self._is_own:  # steps rarely change
             self._defects.take(window, followed.zero.held)
         self._log.tell(followed)
@@ -303,7 +317,7 @@ class Calibrator:
             self._taring.begin()
             self._tell(is_done=False, text="the skin has no zero yet: measure that of all of the skin first")
             return
-        known = known & self._defects.found.usable
+        known = known & self._usable
         way_n = self._followed.settle(mean_n - self._noise.bias_n, known, region, self._newest_ns)
         self._followed.centre_ns = self._newest_ns
         self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * way_n:.2f} mN")

@@ -42,17 +42,15 @@ class Corrections:
 
     def apply(self, measurement: Measurement, followed: FollowedZero | None, usable: Bools) -> Measurement:
         """Return a measurement with its corrections; `usable`, shape (m,), is False for defective sums."""
-        if followed is None or not self._is_own:
-            if not self._offsets and not self._doubtful:
-                return measurement
-            return msgspec.structs.replace(measurement, offsets=self._offsets, doubtful=self._doubtful)
-        offsets = self._counts(followed.offsets_at_n(measurement.sampled_mono_ns))
-        used = usable & followed.zero.follower.known
+        offsets, used = self._offsets, usable
+        if followed is not None and self._is_own:
+            offsets = self._counts(followed.offsets_at_n(measurement.sampled_mono_ns)).tobytes()
+            used = usable & followed.zero.follower.known
         if measurement.usable:
-            used &= np.frombuffer(measurement.usable, np.uint8) != 0
+            used = used & (np.frombuffer(measurement.usable, np.uint8) != 0)
         return msgspec.structs.replace(
             measurement,
-            offsets=offsets.tobytes(),
+            offsets=offsets,
             usable=b"" if used.all() else used.astype(np.uint8).tobytes(),
             doubtful=self._doubtful,
         )

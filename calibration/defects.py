@@ -4,6 +4,11 @@ Only sums come. A sum is stuck if it stays as it is while the others of its bloc
 A noisy taxel shows in the differences d of consecutive cycles of its block: the mean of (w·d)², w the signs of the
 taxel in the sums, is largest for this taxel. A taxel that is stuck or dead has no noise, which does not show among 31
 others; `calibration.gains` finds it.
+
+A block stands still if no sum of it changes any more, although its noise without touch is known, and is `least_n` or
+more. A sum with a normal noise of 3 counts repeats its value with a probability below 0.1, and in all cycles of
+`STUCK_WINDOWS`, 96 or more, with one below 1e-90. Blocks whose taxels may all be at an end of their range, where they
+have no noise, do not count; nor do blocks that have stood still before, as where each frame of a recording stays long.
 """
 
 from collections.abc import Callable
@@ -20,6 +25,8 @@ from skin.surface import Surface
 #: have, and saturated when it did not count in as many windows in which nothing touched its block.
 STUCK_WINDOWS: Final = 12
 STUCK_PART: Final = 0.75
+#: A stretch of a block without change counts if it is this number of times longer than all before.
+LONGER: Final = 4
 #: Windows over which noise is averaged, and before which nothing is said of it.
 MEMORY: Final = 40
 #: Noise of a noisy sum over the median of all sums. Such sums are left out.
@@ -60,19 +67,28 @@ class DefectFinder:
         Noise of a sum that is no defect anyhow, newtons.
     say : callable
         Called with each defect that is new, in words.
+    full_n : float
+        End of the range of a taxel, newtons.
 
     Attributes
     ----------
     found : Defects
         In the newest window.
+    stands_still : array of bool, shape (blocks,)
+        Blocks whose sums do not change any more, although they have noise.
     """
 
-    def __init__(self, phi: Sbhe, surface: Surface, least_n: float, say: Callable[[str], None]) -> None:
+    def __init__(self, phi: Sbhe, surface: Surface, least_n: float, say: Callable[[str], None], full_n: float) -> None:
         self._phi, self._surface, self._least_n, self._say = phi, surface, least_n, say
         self.found = Defects(np.ones(phi.shape[0], np.bool_))
         self._unchanged, self._saturated = np.zeros((2, phi.shape[0]), np.intp)
         self._windows = np.zeros(phi.blocks, np.intp)
         self._was_held = np.zeros(phi.blocks, np.bool_)
+        self.stands_still = np.zeros(phi.blocks, np.bool_)
+        #: Windows for which each block has stood still until now, and at most before.
+        self._still, self._stillest = np.zeros((2, phi.blocks), np.intp)
+        #: Sums of taxels that are all at the end of their range.
+        self._full_n = np.asarray(phi.forward(np.full(phi.shape[1], full_n)), np.float64)
         self._square, self._power = np.zeros(phi.shape[0]), np.zeros(phi.shape[1])
 
     def take(self, window: Window, held: Bools) -> None:
@@ -92,6 +108,7 @@ class DefectFinder:
         most_known = phi.total_of_blocks(window.known) >= STUCK_PART * np.diff(phi.starts)
         free = most_known & phi.has_sums & ~held & ~self._was_held  # a release falls into the window after
         self._was_held = held
+        free &= ~self._stand(window, moves)
         self._saturated = np.where(free[phi.block_of_sum] & ~window.known, self._saturated + 1, 0)
         self._windows += free
         gain = (free / np.clip(self._windows, 1, MEMORY))[phi.block_of_sum] * window.known
@@ -108,6 +125,24 @@ class DefectFinder:
             if _subject(text) not in told:
                 self._say(text)
 
+    def _stand(self, window: Window, moves: Bools) -> Bools:
+        """Find the blocks that stand still; return those with noise that have not changed in this window."""
+        phi = self._phi
+        all_ends = [phi.all_of_blocks(np.abs(window.mean_n - end_n) < self._least_n) for end_n in (0.0, self._full_n)]
+        is_still = phi.all_of_blocks(window.known & ~moves) & phi.has_sums & ~all_ends[0] & ~all_ends[1]
+        self._stillest = np.where(is_still, self._stillest, np.maximum(self._stillest, self._still))
+        self._still = np.where(is_still, self._still + 1, 0)
+        has_noise = (self._windows >= MEMORY) & (self._noise_n() >= self._least_n)
+        self.stands_still = has_noise & (self._still >= np.maximum(STUCK_WINDOWS, LONGER * self._stillest))
+        unchanged: Bools = has_noise & is_still
+        return unchanged
+
+    def _noise_n(self) -> Floats:
+        """Return the noise of the sums of each block without touch, shape (blocks,), newtons."""
+        phi = self._phi
+        noise_n: Floats = np.sqrt(phi.total_of_blocks(self._square) / np.maximum(np.diff(phi.starts), 1))
+        return noise_n
+
     def _defects(self) -> Defects:
         phi = self._phi
         judged = self._windows >= MEMORY
@@ -116,7 +151,7 @@ class DefectFinder:
         noisy = np.zeros_like(stuck)
         words = [f"sum {self._name(each)} is stuck and left out" for each in np.flatnonzero(stuck).tolist()]
         words += [f"sum {self._name(each)} is saturated and left out" for each in np.flatnonzero(saturated).tolist()]
-        of_block = np.sqrt(phi.total_of_blocks(self._square) / np.maximum(np.diff(phi.starts), 1))
+        of_block = self._noise_n()
         if judged.any():
             typical_n = float(np.median(of_block[judged]))
             is_quiet = judged & (typical_n > self._least_n) & (of_block < typical_n / QUIET_RATIO)

@@ -26,7 +26,8 @@ FEATURES: Final[dict[StrokeKind, Features]] = {"slide": "energies", "press": "su
 def cached_path(layout: Layout, phi: Phi, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
     """Return the path of the model of this skin, these objects and this kind of touch."""
     marks = sorted(map(_mark, objects))
-    about = msgspec.json.encode([layout.taxels, noise_ratios(layout), marks, *_unusual(layout, stroke)])
+    taxels = msgspec.structs.replace(layout.taxels, masked=None)
+    about = msgspec.json.encode([taxels, noise_ratios(layout), marks, *_unusual(layout, stroke)])
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 
 

@@ -13,9 +13,10 @@ from calibration.windows import Floats
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, ZeroRequest
 from canskin.errors import InputError
 from canskin.fabric import Reply
-from canskin.messages import Measurement, SteppedMeasurement
+from canskin.messages import Measurement, NodeFault, SteppedMeasurement
 from dbc.contract import Contract
 from gateway.doubted_nodes import DoubtedNodes
+from gateway.frozen_boards import FrozenBoards
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting, node_values
 from gateway.temperatures import Temperatures
@@ -65,6 +66,8 @@ class GatewayCalibration:
         self._newest: SteppedMeasurement | None = None
         self._look_s, self._now_s = float("-inf"), 0.0
         self._doubted = DoubtedNodes(contract)
+        self._frozen = FrozenBoards(contract, lambda text: say("gateway", text))
+        self._latest: Measurement | None = None
         self._requests = Requests(layout, self._calibrator)
         #: What is written to the nodes, for whom, and whether the gateway had offsets before.
         self._writing: tuple[NodeWriting, Request, bool] | None = None
@@ -77,8 +80,13 @@ class GatewayCalibration:
         """Return a measurement with the offsets of its instant."""
         return self._calibrator.apply(measurement)
 
+    def frozen_on(self, bus: int) -> dict[int, NodeFault]:
+        """Return the faults of the boards of a bus whose values stand still while their frames go on, by node-ID."""
+        return self._frozen.on_bus(bus)
+
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement, stepped ones at the next `tick`; most of it is left to `work`."""
+        self._latest = measurement
         if isinstance(measurement, SteppedMeasurement):
             self._newest = measurement
         else:
@@ -123,6 +131,8 @@ class GatewayCalibration:
         if self._newest is not None and now_s >= self._look_s:
             self._look_s = now_s + LOOK_S
             self._calibrator.take(msgspec.structs.replace(self._newest, sampled_mono_ns=round(now_s * 1e9)))
+        if self._latest is not None and self._frozen.tick(masters, self._latest, self._calibrator.stands_still, now_s):
+            self._calibrator.leave_out(self._frozen.blocks)
         if self._keeps is not None:
             self._keeps.tick(self._calibrator.offsets_n, now_s)
         if self._temperatures is not None:

@@ -45,6 +45,8 @@ class Proof:
         Why the node's sums must not be used; empty if they may.
     is_other_device : bool
         The node is refused because of its identity (1018h).
+    can_write : bool
+        The node is refused because of objects that can all be written.
     written : str
         Objects that were written, with their old values.
     has_signature : bool
@@ -58,6 +60,7 @@ class Proof:
 
     refusal: str = ""
     is_other_device: bool = False
+    can_write: bool = False
     written: str = ""
     has_signature: bool = False
     gains: Gains = None
@@ -187,7 +190,7 @@ def _prove_configuration(
         return
     fixed = [(setting, data) for setting, data in wrong if not setting.is_writable]
     if wrong:
-        proof.refusal = _in_words(fixed or wrong)
+        proof.refusal, proof.can_write = _in_words(fixed or wrong), not fixed
         proof.is_other_device = any(setting.index == od.IDENTITY for setting, _ in fixed)
     elif proof.has_signature:
         proof.refusal = f"its objects are right, but not their signature ({od.SIGNATURE:04X}h)"
@@ -248,7 +251,8 @@ def _values(settings: Sequence[Setting]) -> Generator[Transfer, bytes, dict[tupl
 def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list[tuple[Setting, bytes]]]:
     """Return the objects that differ, with their values; a different identity (1018h) ends the comparison."""
     wrong = []
-    for setting in settings:
+    # The identity first: another device may have none of the other objects.
+    for setting in sorted(settings, key=lambda each: each.index != od.IDENTITY):
         data = yield Read(setting.index, setting.subindex)
         if not setting.matches(data):
             wrong.append((setting, data))

@@ -47,9 +47,9 @@ class Questions:
         return not self.left and not self._open
 
     @property
-    def is_open(self) -> bool:
-        """Whether a dialogue is open."""
-        return bool(self._open)
+    def under_way(self) -> int:
+        """Number of open dialogues."""
+        return len(self._open)
 
     def ask(self, node_ids: Iterable[int]) -> None:
         """Ask these devices, in this order, in place of those that are left."""

@@ -98,7 +98,12 @@ class GatewayService:
         states = {number: (link.state, link.dropped) for number, link in self._links.items()}
         status = self.loop.status(states, self._clock())
         if self._calibration is not None:
-            status = msgspec.structs.replace(status, calibration=self._calibration.status())
+            frozen = map(self._calibration.frozen_on, sorted(self._links))
+            buses = [
+                msgspec.structs.replace(bus, faults=faults | bus.faults)
+                for bus, faults in zip(status.buses, frozen, strict=True)
+            ]
+            status = msgspec.structs.replace(status, calibration=self._calibration.status(), buses=buses)
         self._fabric.publish(GATEWAY, status)
 
     def turn(self) -> None:

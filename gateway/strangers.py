@@ -66,7 +66,7 @@ class Strangers:
             self._producers.discard(node_id)
             if dialogue.result is True:
                 self._producers.add(node_id)
-        if not self._questions.is_open:
+        if not self._questions.under_way:
             self._questions.begin(now_s)
         if not self._questions.done or self.words == self._told:
             return False

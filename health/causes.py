@@ -42,11 +42,14 @@ class Cause(Enum):
     MISFITS = (WARNING, "messages do not fit the skin", "give all services the same --layout")
     RECORDING_ENDED = (ERROR, "the recording has ended", "free the disk, and start it again")
     # Buses
+    INTERFACE_DIFFERS = (ERROR, "a bus has another bit rate, or its interface is set otherwise", "'skin plan --timing'")
     INTERFACE_LOST = (ERROR, "a bus is dead: its interface is gone", "plug the adapter in, and set the interface up")
     BUS_OFF = (ERROR, "a bus is dead: the controller is bus-off", _WIRING + "; compare bit rates: 'skin doctor'")
     ERROR_PASSIVE = (WARNING, "no node acknowledges frames", _WIRING + "; compare bit rates: 'skin doctor'")
     SYNC_REFUSED = (WARNING, "SYNC is not sent on a bus", "free the bus or the host: 'skin load', 'skin doctor time'")
     OTHER_SYNC = (ERROR, "blocks are not valid: SYNC has two producers", "clear bit 30 of 1005h of the other producer")
+    BUS_ERRORS = (WARNING, "frames are destroyed on a bus", _WIRING + "; compare bit rates")
+    BUS_LOAD_ABOVE_PLAN = (WARNING, "a bus carries more than its plan", "'skin load --check' tells what is not planned")
     BUS_FULL = (WARNING, "frames come late or not at all", "'skin load' tells who fills the bus")
     CABLE_BREAK = (ERROR, "all boards behind a place are silent", "check the cable and the plug at {subject}")
     NOTHING_MEASURED = (ERROR, "no block sends sums", "start the boards; 'skin doctor' tells what is there")
@@ -82,6 +85,7 @@ class Cause(Enum):
     THRESHOLD = (WARNING, "a force is above its threshold", "take the force away")
     # Hosts
     HOST_LATE = (WARNING, "SYNCs are left out, or frames are lost at the gateway", "'skin doctor time'")
+    HOST_SETTING = (INFO, "a setting of the host is not best for a skin", "'skin doctor time'")
 
     def __init__(self, level: str, sees: str, mend: str) -> None:
         self.level, self.sees, self.mend = level, sees, mend
@@ -96,13 +100,15 @@ class Cause(Enum):
         """The name of the cause in notices, JSON and metrics, for example ``node-silent``."""
         return self.name.lower().replace("_", "-")
 
-    def notice(self, text: str, subject: str = "", since_time_s: float | None = None, level: str = "") -> Notice:
+    def notice(
+        self, text: str, subject: str = "", since_time_s: float | None = None, level: str = "", mend: str = ""
+    ) -> Notice:
         """Return a notice of this cause; `text` says what is seen, and of what, with its evidence."""
         return Notice(
             level=level or self.level,
             code=self.code,
             subject=subject,
             text=text,
-            mend=self.mend.format(subject=subject),
+            mend=mend or self.mend.format(subject=subject),
             since_time_s=since_time_s,
         )

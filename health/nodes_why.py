@@ -16,8 +16,11 @@ NMT_WORDS: Final[dict[int, str]] = {
     NmtState.PRE_OPERATIONAL: "pre-operational",
     SILENT: "silent",
 }
-#: A node loses frames until none has been missing for this time.
-LOSS_S: Final = 2.0
+#: A node loses frames until none has been missing for this time, that of `health.state.SPAN_S`.
+LOSS_S: Final = 1.0
+#: Emergencies from this code on are of the device (CiA 301, 7.2.7.1): that it missed its window once, whose end no node
+#: tells. They explain frames that are missing now, and are no trouble without.
+DEVICE_EMCY: Final = 0xFF00
 #: A node is late whose answers or heartbeats take this part of the time that they have.
 LATE_RATIO: Final = 0.9
 #: By why the gateway does not use a node: words for several nodes.
@@ -33,6 +36,7 @@ _FAULTS: Final = {
     Fault.CHANGED: "doubted",
     Fault.UNPROVEN: "not proven for too long",
     Fault.STARTING: "not proven yet",
+    Fault.FROZEN: "frozen",
 }
 #: Of these nodes the NMT state tells more.
 _BY_STATE: Final = (Fault.LEFT, Fault.BOOTED, Fault.STARTING)
@@ -47,6 +51,10 @@ class Trouble(NamedTuple):
     word: str
     evidence: str = ""
 
+    def of_node(self, node: int, since_time_s: float) -> NodeTrouble:
+        """Return this trouble as that of a node."""
+        return NodeTrouble(node, since_time_s, self.evidence or self.word, self.cause.code, self.word)
+
 
 def _trouble(status: GatewayStatus, bus: BusState, place: int, *, loses: bool) -> Trouble | None:
     """Return what is wrong with the node at a place of a bus, the gravest alone; None if all is well."""
@@ -56,15 +64,21 @@ def _trouble(status: GatewayStatus, bus: BusState, place: int, *, loses: bool) -
     code = bus.emcy[place] if place < len(bus.emcy) else 0
     emergency = f"EMCY {code:04X}h" if code else ""
     if (fault := _fault(bus, node, nmt)) is not None:
-        word = _FAULTS[fault.kind]
-        if fault.kind in _BY_STATE and nmt != NmtState.OPERATIONAL:
-            word = NMT_WORDS.get(nmt, word)
-        return Trouble(Cause.of(fault.code), word, ", ".join(filter(None, (fault.words or word, emergency))))
-    if emergency:
+        return trouble_of(fault, nmt, emergency)
+    if 0 < code < DEVICE_EMCY:
         return Trouble(Cause.NODE_EMERGENCY, emergency)
     if late := _late(status, bus, place):
         return Trouble(Cause.NODE_LATE, "late", late)
-    return Trouble(Cause.NODE_LOSES, "frames with sums are missing") if loses else None
+    words = "frames with sums are missing"
+    return Trouble(Cause.NODE_LOSES, words, ", ".join(filter(None, (words, emergency)))) if loses else None
+
+
+def trouble_of(fault: NodeFault, nmt: int, emergency: str = "") -> Trouble:
+    """Return what is wrong with a node of this NMT state whose sums cannot be used."""
+    word = _FAULTS[fault.kind]
+    if fault.kind in _BY_STATE and nmt != NmtState.OPERATIONAL:
+        word = NMT_WORDS.get(nmt, word)
+    return Trouble(Cause.of(fault.code), word, ", ".join(filter(None, (fault.words or word, emergency))))
 
 
 def _fault(bus: BusState, node: int, nmt: int) -> NodeFault | None:
@@ -137,10 +151,7 @@ class Troubles:
     def of(self, epoch_s: float) -> dict[str, list[NodeTrouble]]:
         """Return the troubles by bus; `epoch_s` is the wall-clock time of 0."""
         return {
-            bus: [
-                NodeTrouble(node, epoch_s + since_s, trouble.evidence or trouble.word, trouble.cause.code, trouble.word)
-                for node, (trouble, since_s) in nodes.items()
-            ]
+            bus: [trouble.of_node(node, epoch_s + since_s) for node, (trouble, since_s) in nodes.items()]
             for bus, nodes in self._troubles.items()
         }
 

@@ -1,18 +1,20 @@
 """Notices for the user, made from the snapshot alone: what stopped, when, and which service is the cause."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import msgspec
 
 from canskin.calibration_messages import CalibrationState
-from health.causes import GRAVE, Cause
+from health.causes import GRAVE, WARNING, Cause
 from health.nodes_why import link_cause
 from health.snapshot import BusView, NodeTrouble, Notice, Service, Snapshot
 
 #: Most node-IDs named in one notice, where tiles show the others, and most defects and contacts in doubt.
 NAMED: Final = 8
+#: A gateway that has run for longer is no longer starting, s.
+STARTED_S: Final = 30.0
 #: Above this load a bus is full: the rest of the time is between frames.
 FULL_RATIO: Final = 0.97
 #: So many nodes at an end of a bus that fall silent within this time are a broken cable.
@@ -78,8 +80,14 @@ def _images(state: Snapshot) -> Iterator[Notice]:
         yield cause.notice(f"images stopped: {why}", "reconstructor", state.time_s - image.age_s)
     elif image is None and token is not None and not token.alive:
         yield Cause.SERVICE_GONE.notice("no images: reconstructor is gone", "reconstructor", token.since_time_s)
+    elif image is None and token is not None and token.silent:
+        yield Cause.SERVICE_SILENT.notice("no images: reconstructor is there but sends none", "reconstructor")
     elif image is None:
-        yield Cause.NO_IMAGE.notice("waiting for the first image", "reconstructor")
+        status = state.gateway
+        is_starting = status is None or status.cycles < STARTED_S * status.sync_rate_hz
+        yield Cause.NO_IMAGE.notice(
+            "waiting for the first image", "reconstructor", level="" if is_starting else WARNING
+        )
 
 
 def _why(state: Snapshot, token: Service | None) -> tuple[Cause, str]:
@@ -116,14 +124,21 @@ def _nodes(state: Snapshot) -> Iterator[Notice]:
 def _buses(state: Snapshot) -> Iterator[Notice]:
     if state.gateway is None or state.gateway.stale:
         return
-    buses = state.gateway.buses
+    yield from notices_of(state.gateway.buses)
+    if state.image is not None and not state.image.stale and state.image.valid_sums == 0:
+        yield Cause.NOTHING_MEASURED.notice("nothing is measured: no block sent its sums")
+    if state.gateway.late_since_time_s is not None:
+        text = f"the gateway's host is late: {state.gateway.late}"
+        yield Cause.HOST_LATE.notice(text, "gateway", state.gateway.late_since_time_s)
+
+
+def notices_of(buses: Sequence[BusView]) -> Iterator[Notice]:
+    """Return what is wrong with buses and their nodes."""
     for text, bus in {bus.trouble: bus for bus in buses if bus.trouble}.items():
         names = [each.name for each in buses if each.trouble == text]
         named = ", ".join(names)
         cause = link_cause(bus) or Cause.SYNC_REFUSED
         yield cause.notice(f"{'buses' if len(names) > 1 else 'bus'} {named} {text}", named, level=bus.level)
-    if state.image is not None and not state.image.stale and state.image.valid_sums == 0:
-        yield Cause.NOTHING_MEASURED.notice("nothing is measured: no block sent its sums")
     for bus in buses:
         if bus.other_sync:
             yield Cause.OTHER_SYNC.notice(f"{bus.name}: another SYNC producer: {bus.other_sync}", bus.name)
@@ -131,9 +146,6 @@ def _buses(state: Snapshot) -> Iterator[Notice]:
             yield Cause.BUS_FULL.notice(f"{bus.name}: the bus is full, {100 * bus.load_ratio:.0f} %", bus.name)
         if not bus.dead:
             yield from _off_duty(bus)
-    if state.gateway.late_since_time_s is not None:
-        text = f"the gateway's host is late: {state.gateway.late}"
-        yield Cause.HOST_LATE.notice(text, "gateway", state.gateway.late_since_time_s)
 
 
 def _calibration(state: Snapshot) -> Iterator[Notice]:

@@ -56,6 +56,8 @@ class AnalogueElectronics(Electronics):
             raise InputError(f"skew: {rows} sums of a block take longer than a period")
         self._signal_n: Force = np.zeros(layout.taxels.count, np.float32)
         self._moment_n: Force = np.zeros((layout.taxels.rows, layout.taxels.columns), np.float32)
+        #: What the converters read last.
+        self._codes = np.zeros(phi.shape[0], np.int32)
 
     @property
     def is_skewed(self) -> bool:
@@ -93,6 +95,10 @@ class AnalogueElectronics(Electronics):
             self._signal_n, self._random, change_n_per_s=change_n_per_s, time_s=self.period_s * step
         )
         counts = self.converter.counts(sums_n)
+        for stop in self._model.defects.stops:
+            if self.period_s * step >= stop.start_s:
+                counts[stop.sums] = self._codes[stop.sums]
+        self._codes = counts
         shown = self.pattern[phi.taxels_of_blocks]
         if (shown >= 0).any():
             pattern = np.asarray(phi.wired.forward(np.maximum(self.pattern, 0)), np.float64)

@@ -137,6 +137,9 @@ class Electronics(Calibration):
         signal = self._model.signal_of_moments(moments_n, self._random, time_s)
         counts = np.zeros((count, self.gain.size), np.int32)
         counts[:, : self.taxels.count] = to_counts(signal.reshape(count, -1), self.taxels)
+        for stop in self._model.defects.stops:
+            for place in np.flatnonzero(time_s >= stop.start_s).tolist():
+                counts[place, stop.taxels] = (counts[place - 1] if place else self._felt)[stop.taxels]
         self._felt, self.sampled_ahead = counts[-1], step
         self.unread.append(counts)
         if self._filter is not None:

@@ -62,6 +62,7 @@ class GainCorrection:
         corrected: Floats = sums_n / self._differential - self._excess @ self._before
         return corrected, valid & self._usable
 
-    def keep(self, image: Floats) -> None:
-        """Keep the image for the next cycle."""
+    def keep(self, image: Floats) -> Floats:
+        """Keep the image for the next cycle; return the image."""
         self._before = image.ravel()
+        return image

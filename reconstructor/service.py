@@ -65,6 +65,7 @@ class ReconstructorService:
         self._phi = layout.operator()
         self._reader: MeasurementReader[Any] = MeasurementReader(self._phi, "reconstructor", imager.decode)
         self._tracker = ContactTracker(layout.taxels.surface)
+        self._is_measured = ~layout.taxels.is_masked
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
@@ -113,7 +114,8 @@ class ReconstructorService:
         started_s = self._timer()
         is_blind = message.valid_sums == 0
         phi = self._phi.of_cycle(message.cycle)
-        valid = phi.valid_taxels(np.frombuffer(message.valid, np.bool_)).reshape(image.shape)
+        valid = phi.valid_taxels(np.frombuffer(message.valid, np.bool_)) & self._is_measured
+        valid = valid.reshape(image.shape)
         doubtful = doubtful_taxels(message, image.size)
         found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid, doubtful)
         return Contacts(

@@ -57,7 +57,7 @@ class Drawing:
     def __init__(self, layout: Layout, top_n: float) -> None:
         self.shape = layout.taxels.rows, layout.taxels.columns
         self._top_n, self._phi, self._surface = top_n, layout.phi(), layout.taxels.surface
-        self._plane = Plane(self._surface)
+        self._plane, self._is_masked = Plane(self._surface), layout.taxels.is_masked
         self.cell = max(LEAST_CELL, 2 * (SIDE // round(max(self._plane.width, self._plane.height)) // 2))
         taxels = self._plane.cells(self.cell)
         height, width = taxels.shape
@@ -74,7 +74,7 @@ class Drawing:
         ----------
         forces_n : array, shape (rows, columns)
         valid : array of bool, shape (blocks,)
-            Taxels of other blocks are hatched.
+            Taxels of other blocks are hatched, and masked ones.
         contacts : sequence of Contact
             A cross at the centre of force, with the identity.
         text : str
@@ -86,7 +86,7 @@ class Drawing:
         image = picture[:-LINE]
         colours = np.append(coloured(forces_n.ravel(), self._top_n), _NOTHING, axis=0)
         image[:] = np.take(colours, self._taxels, axis=0)
-        hatched = np.take(np.append(~self._phi.of_taxels(valid), False), self._taxels)
+        hatched = np.take(np.append(~self._phi.of_taxels(valid) | self._is_masked, False), self._taxels)
         if hatched.any():
             image[hatched] = self._hatching[hatched]
         return self._written(Image.fromarray(picture), contacts, text)

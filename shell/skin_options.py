@@ -190,12 +190,12 @@ def join(
     )
 
 
-def hub_layout(endpoint: str, skin: str | None, stop: Stop | None = None) -> Layout:
-    """Return the layout of a skin on a hub; see `SkinOptions.find`."""
-    patience_s = PATIENCE_S if stop is None else SERVICE_PATIENCE_S
-    peer = find_skin(endpoint, skin, patience_s, knows_layout, words=_WORDS, stop=stop)[0]
-    with closing(Fabric(peer.skin, "", endpoint, stop=stop, patience_s=PATIENCE_S)) as fabric:
-        return _told(fabric, peer, endpoint)
+def hub_layout(endpoint: str, skin: str | None, stop: Stop | None = None, *, patience_s: float = PATIENCE_S) -> Layout:
+    """Return the layout of a skin on a hub; see `SkinOptions.find`. Each step waits for `patience_s` at most."""
+    find_s = patience_s if stop is None else SERVICE_PATIENCE_S
+    peer = find_skin(endpoint, skin, find_s, knows_layout, words=_WORDS, stop=stop)[0]
+    with closing(Fabric(peer.skin, "", endpoint, stop=stop, patience_s=patience_s)) as fabric:
+        return _told(fabric, peer, endpoint, patience_s)
 
 
 def knows_layout(peer: Peer) -> bool:
@@ -203,9 +203,9 @@ def knows_layout(peer: Peer) -> bool:
     return peer.service in GATEWAYS and bool(peer.fingerprint)
 
 
-def _told(fabric: Fabric, peer: Peer, endpoint: str) -> Layout:
+def _told(fabric: Fabric, peer: Peer, endpoint: str, patience_s: float = PATIENCE_S) -> Layout:
     try:
-        reply: LayoutReply = fabric.ask(LAYOUT, LayoutRequest(), PATIENCE_S)
+        reply: LayoutReply = fabric.ask(LAYOUT, LayoutRequest(), patience_s)
     except DeniedError:
         raise
     except BusError as error:

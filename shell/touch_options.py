@@ -1,13 +1,13 @@
 """The options that say what touches a skin and what its taxels make of the touch, shared by all verbs."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Final
 
 from cyclopts import Parameter
 
 from canskin.errors import InputError
-from skin.defects import KINDS, Defects, option_name, parse_defects
+from skin.defects import KINDS, Defects, option_name, parse_defects, parse_stops
 from skin.layout import Layout
 from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, object_names, step_rate_hz
 
@@ -58,6 +58,9 @@ class TouchOptions:
         SYNC. PLACE: whole, half (the left one), gradient (from 0 to the amount across the columns), patchSIDE or
         patchSIDE@ROW,COLUMN (a square of taxels), boardBLOCK (the taxels of a block), converterBLOCK. COURSE: step,
         ramp (60 s), exponential (time constant 60 s), daily (a sine, 24 h).
+    frozen
+        Boards whose converters stop while their frames go on, each BLOCK[:START_S], with the number of the board's
+        block; START_S counts from the first SYNC.
     seed
         Seed of the touches, of the noise, and of the choice of defective taxels and of patches that drift.
     """
@@ -76,6 +79,7 @@ class TouchOptions:
         ),
     ] = field(default_factory=list)
     drift: list[str] = field(default_factory=list)
+    frozen: list[str] = field(default_factory=list)
     seed: int = 0
 
     @property
@@ -111,8 +115,9 @@ class TouchOptions:
         )
 
     def defects(self, layout: Layout) -> Defects:
-        """Return the defects and drifts."""
-        return parse_defects(self.defect, self.drift, self.seed, layout)
+        """Return the defects, drifts and frozen boards."""
+        found = parse_defects(self.defect, self.drift, self.seed, layout)
+        return replace(found, stops=parse_stops(self.frozen, layout))
 
 
 NO_TOUCH_OPTIONS: Final = TouchOptions()

@@ -319,6 +319,17 @@ class Defect:
         require_number(f"{option_name(self.kind)}: {kind.amount}", self.amount, kind.most)
 
 
+class Stop(NamedTuple):
+    """A block whose converters stop at a time, seconds from the first step, while its board's frames go on.
+
+    `taxels` and `sums` are the numbers of its taxels and sums.
+    """
+
+    start_s: float
+    taxels: list[int]
+    sums: slice
+
+
 @dataclass(frozen=True)
 class Defects:
     """All defects of a skin.
@@ -329,11 +340,14 @@ class Defects:
         Each kind once.
     zero_drifts, sum_drifts : tuple of ZeroDrift
         Drifts of the zero of taxels, and of analogue sums, at a place.
+    stops : tuple of Stop
+        Boards whose converters stop.
     """
 
     of_kinds: tuple[Defect, ...] = ()
     zero_drifts: tuple[ZeroDrift, ...] = ()
     sum_drifts: tuple[ZeroDrift, ...] = ()
+    stops: tuple[Stop, ...] = ()
 
     @classmethod
     def of(cls, amounts: Mapping[str, float | None], seed: int = 0) -> "Defects":
@@ -377,6 +391,25 @@ def _effect(defect: Defect, shape: tuple[int, ...], force_max_n: float) -> Any:
 def option_name(kind: str) -> str:
     """Return the name of a kind in options."""
     return kind.replace("_", "-")
+
+
+def parse_stops(texts: Iterable[str], layout: Layout) -> tuple[Stop, ...]:
+    """Return the boards of an option whose converters stop, each ``BLOCK`` or ``BLOCK:START_S``."""
+    made = []
+    for text in texts:
+        block, _, start_s = text.partition(":")
+        try:
+            number, begin_s = int(block), float(start_s or 0)
+        except ValueError:
+            number, begin_s = -1, 0.0
+        if not (0 <= number < layout.blocks and 0 <= begin_s < math.inf):
+            raise InputError(
+                f"--frozen {text}: expected BLOCK or BLOCK:START_S with a block from 0 to {layout.blocks - 1},"
+                " and seconds"
+            )
+        phi = layout.phi()
+        made.append(Stop(begin_s, phi.taxels_of(number).tolist(), slice(*phi.starts[number : number + 2].tolist())))
+    return tuple(made)
 
 
 def parse_defects(kinds: Iterable[str], drifts: Iterable[str], seed: int, layout: Layout) -> Defects:

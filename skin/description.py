@@ -1,5 +1,7 @@
 """The description of a layout for programs, which the gateway gives."""
 
+import numpy as np
+
 from canskin.description import Description, boot_id
 from skin.layout import Layout
 
@@ -26,4 +28,5 @@ def describe(layout: Layout) -> Description:
         is_grid=surface.is_grid,
         positions=surface.positions_m.astype("<f4").tobytes(),
         normals=surface.normals.astype("<f4").tobytes(),
+        masked=np.flatnonzero(taxels.is_masked).astype("<u4").tobytes(),
     )

@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
 from canskin.errors import InputError, LayoutError
 from skin.chains import check_chains
 from skin.foreign import check_foreign
@@ -22,6 +24,7 @@ from skin.layout_keys import (
     PhiParameters,
     Steps,
     Taxels,
+    require_boards,
 )
 from skin.matrix import KEY
 from skin.phi import of_rows, sbhe
@@ -43,13 +46,16 @@ def check(layout: Layout, *, has_steps: bool = False) -> None:
     if layout.taxels.there < TAXELS_MIN:
         raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {layout.taxels.there} - at `$.taxels`")
     _check_positions(layout.taxels)
-    _check_untouchable(layout)
+    _check_taxels(layout, "untouchable", layout.taxels.untouchable)
+    _check_taxels(layout, "masked", layout.taxels.masked)
     _check_regions(layout)
     if (layout.measurement.ensemble == "matrix") != (layout.measurement.matrix is not None):
         wanted = f"`matrix` and ensemble = 'matrix' belong together, got '{layout.measurement.ensemble}'"
         raise LayoutError(f"{wanted} - at `$.measurement.ensemble`")
     if layout.measurement.matrix is not None:
         _check_matrix(layout)
+        if layout.taxels.masked:
+            require_boards(layout)
         return
     _check_measurement(layout)
     if not layout.sends.in_cycles:
@@ -68,6 +74,8 @@ def check(layout: Layout, *, has_steps: bool = False) -> None:
             f"expected {highest} or less, for serial numbers of 32 bits, got {layout.device.first_serial}"
             " - at `$.device.first_serial`"
         )
+    if layout.taxels.masked:
+        _check_masked(layout)
 
 
 def _check_measurement(layout: Layout) -> None:
@@ -177,14 +185,26 @@ def _check_frontend(layout: Layout) -> None:
         raise LayoutError(f"{limits}, got {layout.taxels.adc_bits} - at `$.taxels.adc_bits`")
 
 
-def _check_untouchable(layout: Layout) -> None:
-    taxels, count = layout.taxels.untouchable or (), layout.taxels.count
+def _check_taxels(layout: Layout, key: str, given: tuple[int, ...] | None) -> None:
+    taxels, count = given or (), layout.taxels.count
     outside = [taxel for taxel in taxels if not 0 <= taxel < count]
     twice = [taxel for taxel, times in Counter(taxels).items() if times > 1]
     if outside or twice or not set(range(count)) - set(taxels) - set(layout.taxels.gaps.tolist()):
         wrong = f"{outside[0]}" if outside else f"{twice[0]} twice" if twice else "all taxels"
         limit = f"expected some of the taxels 0 to {count - 1}, each once and not all"
-        raise LayoutError(f"{limit}, got {wrong} - at `$.taxels.untouchable`")
+        raise LayoutError(f"{limit}, got {wrong} - at `$.taxels.{key}`")
+
+
+def _check_masked(layout: Layout) -> None:
+    """Check that each block has more sums than masked taxels: else its sums tell nothing."""
+    phi, is_masked = layout.phi(), layout.taxels.is_masked
+    masked = np.bincount(phi.block_of_taxel[is_masked & phi.is_wired], minlength=phi.blocks)
+    sums = np.diff(phi.starts)
+    for block in np.flatnonzero((masked > 0) & phi.has_sums & (sums <= masked)).tolist():
+        raise LayoutError(
+            f"block {block}: expected fewer than {sums[block]} masked taxels, its number of sums, got {masked[block]}"
+            " - at `$.taxels.masked`"
+        )
 
 
 def _check_regions(layout: Layout) -> None:

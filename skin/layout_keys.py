@@ -70,7 +70,8 @@ class Taxels(_Table, frozen=True, kw_only=True):
 
     `frontend` tells where a sum is made: each taxel has a converter and the node adds numbers (``digital``), or
     currents are added before one converter for each sum (``analogue``, `skin.frontend`). `untouchable` are the taxels
-    that nothing can touch, row-major. `has_thermometers` tells that the boards measure their temperature (2036h).
+    that nothing can touch, `masked` broken ones that images leave out, both row-major. `has_thermometers` tells that
+    the boards measure their temperature (2036h).
     """
 
     # A line for each row: `#` for a taxel, `.` for a gap; `rows` and `columns` follow from the picture.
@@ -86,6 +87,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
     frontend: Literal["digital", "analogue"] = "digital"
     untouchable: tuple[int, ...] | None = None
+    masked: tuple[int, ...] | None = None
     has_thermometers: bool = False
 
     @property
@@ -97,6 +99,11 @@ class Taxels(_Table, frozen=True, kw_only=True):
     def count(self) -> int:
         """Number of taxels n of the grid, gaps included."""
         return self.rows * self.columns
+
+    @property
+    def is_masked(self) -> npt.NDArray[np.bool_]:
+        """Whether each taxel is left out of images, shape (n,)."""
+        return np.isin(np.arange(self.count), self.masked or ())
 
     @property
     def gaps(self) -> Indices:

@@ -54,9 +54,9 @@ class SteppedSums(NamedTuple):
     counts : array of int32, shape (m,)
         Sums less their offsets in ADC counts; 0 if unknown; read-only.
     valid : array of bool, shape (blocks,)
-        True if all sums of the block are known and current.
+        True if all sums of the block are known, current and usable.
     known : array of bool, shape (m,)
-        True if a value of the sum is held.
+        True if a value of the sum is held, and is usable.
     noise_n : float
         Median of the nodes' noise, newtons; 0 if it is not known.
     """
@@ -108,7 +108,9 @@ def decode_stepped(measurement: Measurement, phi: Phi) -> SteppedSums:
         raise InputError("a block is valid, but not all its sums are known")
     if (valid & (states < _QUIET)).any():
         raise InputError("a block is valid, but neither fresh nor quiet")
-    return SteppedSums(corrected_counts(measurement, known), valid, known, measurement.noise_n)
+    if measurement.usable:
+        known = known & (np.frombuffer(measurement.usable, np.uint8) != 0)
+    return SteppedSums(corrected_counts(measurement, known), used_blocks(measurement, phi), known, measurement.noise_n)
 
 
 def check_measurement(measurement: Measurement, phi: Phi, kind: type[Kind]) -> Kind:

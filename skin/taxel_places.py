@@ -59,19 +59,19 @@ class Grid:
 
     def __init__(self, layout: Layout) -> None:
         self._shape = layout.taxels.rows, layout.taxels.columns
-        self._phi = layout.phi()
+        self._phi, self._is_masked = layout.phi(), layout.taxels.is_masked
 
     def forces_n(self, image: Image) -> Forces:
         """Return the force on every taxel, shape (rows, columns), newtons; of taxels without valid sums estimates."""
         return np.frombuffer(image.pixels, "<f4").reshape(self._shape)
 
     def valid(self, image: Image) -> npt.NDArray[np.bool_]:
-        """Return whether the block of each taxel is valid, shape (rows, columns)."""
-        valid: npt.NDArray[np.bool_] = self._phi.of_taxels(np.frombuffer(image.valid, np.bool_))
+        """Return whether each taxel is measured: its block is valid, and it is not masked; shape (rows, columns)."""
+        valid: npt.NDArray[np.bool_] = self._phi.of_taxels(np.frombuffer(image.valid, np.bool_)) & ~self._is_masked
         return valid.reshape(self._shape)
 
     def measured_n(self, image: Image) -> Forces:
-        """Return the force on every taxel, shape (rows, columns), newtons; NaN where the block is not valid."""
+        """Return the force on every taxel, shape (rows, columns), newtons; NaN where it is not measured."""
         return np.where(self.valid(image), self.forces_n(image), np.float32(np.nan))
 
 

@@ -9,8 +9,11 @@ import tomli_w
 
 from canskin.errors import LayoutError
 from dbc.contract import Contract
+from skin import layouts
 from skin.layout import Layout, changed, layout_text, load_layout, parse_layout
 
+#: Names of the layouts that come with the project.
+SHIPPED: Final = sorted(path.stem for path in Path(layouts.__path__[0]).glob("*.toml"))
 #: Tables of stepped boards.
 STEPPED: Final = {"sending": "steps", "measurement": {"wiring": "board"}}
 #: The stepped skin of 64 x 64 taxels that comes with the project.

@@ -51,6 +51,8 @@ class Description(Told, frozen=True, kw_only=True):
     positions, normals : bytes
         float32, shape (n, 3): where each taxel lies, metres, and its normal out of the skin; see `docs/layout.md` for
         the frame. Empty from a gateway that does not tell.
+    masked : bytes
+        uint32: row-major numbers of broken taxels, which are left out of images.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Description(Told, frozen=True, kw_only=True):
     is_grid: bool = True
     positions: bytes = b""
     normals: bytes = b""
+    masked: bytes = b""
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -30,11 +30,11 @@ class Frame:
     Attributes
     ----------
     forces : array of float32, shape (n,)
-        Newtons; NaN where the taxel's block is not valid. Taxels of a grid are row-major.
+        Newtons; NaN where the taxel is not measured. Taxels of a grid are row-major.
     estimate : array of float32, of `Description.shape`: (rows, columns), or (n,) where the skin is no grid
-        Newtons: `forces`, with the solver's estimate from the neighbours where blocks are not valid.
+        Newtons: `forces`, with the solver's estimate from the neighbours where taxels are not measured.
     valid : array of bool, shape as `estimate`
-        True where the taxel's block was measured.
+        True where the taxel was measured: its block was, and it is not masked.
     doubtful : array of bool, shape as `estimate`
         True where the force may be an error of the zero, for example of a warm patch, and no touch.
     sums : array of int32, shape (m,)
@@ -175,6 +175,7 @@ class FrameBuilder:
             doubtful = np.zeros(about.rows * about.columns, np.bool_)
         estimate = np.frombuffer(image.pixels, "<f4").reshape(about.shape)
         valid = np.append(np.frombuffer(image.valid, np.uint8) != 0, False)[self._blocks]
+        valid.flat[np.frombuffer(about.masked, "<u4")] = False
         forces = np.where(valid, estimate, np.float32(np.nan)).ravel()
         measurement = self._measurements.get(_key(image))
         sums, valid_sums = self._sums(measurement)

@@ -424,6 +424,7 @@ class Fault(str, Enum):
     CHANGED = "changed"  #: Its configuration has become another, or another master writes there.
     UNPROVEN = "unproven"  #: Its configuration was not proven for too long.
     STARTING = "starting"  #: Its first proof is under way.
+    FROZEN = "frozen"  #: Its values stand still while its frames go on.
 
     __str__ = str.__str__  # the value, as `enum.StrEnum` of Python 3.11 has it
 

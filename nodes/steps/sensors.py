@@ -93,6 +93,7 @@ class PatchSensors:
         self._memory_step: int | None = None
         self._ends_n = np.zeros((2, 2, *cells.shape), np.float32)
         self._ends_n[:] = self._of_taxels(model.felt_n(np.zeros((1, *self._shape), np.float32), np.zeros(1))[0])
+        self._stops = [(stop.start_s, np.isin(cells, stop.taxels)) for stop in model.defects.stops]
         self._recalibrate()
 
     def _recalibrate(self) -> None:
@@ -123,8 +124,12 @@ class PatchSensors:
         words = -(-(self.counts.size + len(self.counts)) // 4)
         drawn = self._random.bit_generator.random_raw(words).view(np.uint16)
         clocks, ends_n, taxels = (self._age, self._drift), self._ends_n, (self._noise_n, self._fixed_n, self._range)
-        corrections = self._gain, self._offset, self._pattern
+        corrections, before = (self._gain, self._offset, self._pattern), self.counts.copy()
         _sample(since, drawn, self._normal, clocks, ends_n, taxels, corrections, self.counts, sample_n)
+        for start_s, is_stopped in self._stops:
+            if self.touch_from_ns is not None and tick_ns - self.touch_from_ns >= start_s * 1e9:
+                np.copyto(self.counts, before, where=is_stopped)
+                np.copyto(sample_n, before * self._range[1], where=is_stopped)
         return sample_n
 
     def _load(self, first: int) -> None:

@@ -16,6 +16,10 @@ Bools = npt.NDArray[np.bool_]
 NOISE_N, LEAST_N = 1e-4, 1e-6
 NO_TOUCH = np.zeros(PHI.blocks, np.bool_)
 ALL = np.ones(PHI.shape[0], np.bool_)
+FULL_N = LAYOUT.taxels.force_max_n
+#: Sums of some force, and of taxels that are all at an end of the range.
+SOME, NONE = np.full(PHI.shape[0], 0.01), np.zeros(PHI.shape[0])
+FULL = np.asarray(PHI.forward(np.full(PHI.shape[1], FULL_N)), np.float64)
 
 
 def of_blocks(changed: dict[int, float]) -> Floats:
@@ -30,7 +34,7 @@ class Finder:
     """A finder that gets windows of the same noise, sum by sum."""
 
     def __init__(self) -> None:
-        self._finder = DefectFinder(PHI, LAYOUT.taxels.surface, LEAST_N, lambda _: None)
+        self._finder = DefectFinder(PHI, LAYOUT.taxels.surface, LEAST_N, lambda _: None, FULL_N)
 
     def take(
         self,
@@ -40,13 +44,18 @@ class Finder:
         known: Bools | None = None,
         held: Bools = NO_TOUCH,
         difference_n: Floats | None = None,
+        mean_n: Floats = NONE,
     ) -> Defects:
         known = np.ones(PHI.shape[0], np.bool_) if known is None else known
         nothing = np.zeros(PHI.shape[0])
-        made = Window(0, nothing, NOISE_N * times, nothing if difference_n is None else difference_n, known)
+        made = Window(0, mean_n, NOISE_N * times, nothing if difference_n is None else difference_n, known)
         for _ in range(windows):
             self._finder.take(made, held)
         return self._finder.found
+
+    @property
+    def still(self) -> list[int]:
+        return np.flatnonzero(self._finder.stands_still).tolist()
 
 
 def named(found: Defects) -> list[str]:
@@ -183,7 +192,7 @@ def test_a_taxel_is_named_when_it_has_a_quarter_more_than_the_next(ratio: float,
 def test_blocks_without_or_with_a_single_sum_are_left_in_peace() -> None:
     """Three sums of four blocks: a block of one has no others, that may tell that it is stuck."""
     phi = sbhe(64, 3, block_size=16)
-    finder = DefectFinder(phi, surfaces.grid(8, 8), LEAST_N, lambda _: None)
+    finder = DefectFinder(phi, surfaces.grid(8, 8), LEAST_N, lambda _: None, FULL_N)
     noise_n = np.array([NOISE_N, 0.0, NOISE_N])
     window = Window(0, np.zeros(3), noise_n, np.zeros(3), np.ones(3, np.bool_))
     for _ in range(39):
@@ -202,10 +211,48 @@ def test_noise_of_a_block_is_that_of_each_of_its_sums() -> None:
         for each in (sbhe(64, 9, block_size=16, selection="uniform", seed=seed) for seed in range(100))
         if sorted(np.diff(each.starts).tolist())[:2] == [1, 2]
     )
-    finder = DefectFinder(phi, surfaces.grid(8, 8), LEAST_N, lambda _: None)
+    finder = DefectFinder(phi, surfaces.grid(8, 8), LEAST_N, lambda _: None, FULL_N)
     nothing, single = np.zeros(9), np.diff(phi.starts)[phi.block_of_sum] == 1
     window = Window(0, nothing, NOISE_N * np.where(single, 0.45, 1.0), nothing, np.ones(9, np.bool_))
     for _ in range(45):
         finder.take(window, np.zeros(4, np.bool_))
     assert single.sum() == 1
     assert finder.found.words == []
+
+
+#: All sums change but those of block 5, whose others stand still.
+STILL = of_blocks({5: 0.0})
+
+
+@pytest.mark.parametrize(
+    ("noise", "learns", "mean_n", "known", "windows", "still"),
+    [
+        (1.0, 40, SOME, ALL, 11, []),
+        (1.0, 40, SOME, ALL, 12, [5]),
+        (1.0, 40, SOME, ALL, 1000, [5]),  # what stands still teaches no noise
+        (1.0, 28, SOME, ALL, 12, []),
+        (0.0099, 40, SOME, ALL, 1000, []),  # only rounded
+        (1.0, 40, NONE, ALL, 1000, []),
+        (1.0, 40, FULL, ALL, 1000, []),
+        (1.0, 40, SOME, all_but(int(PHI.starts[5])), 1000, []),
+    ],
+)
+def test_a_block_with_noise_stands_still_when_no_sum_of_it_changes(
+    noise: float, learns: int, mean_n: Floats, known: Bools, windows: int, still: list[int]
+) -> None:
+    finder = Finder()
+    finder.take(learns, noise * np.ones(PHI.shape[0]), mean_n=mean_n)
+    finder.take(windows, noise * STILL, mean_n=mean_n, known=known)
+    assert finder.still == still
+    finder.take(1, noise * np.ones(PHI.shape[0]), mean_n=mean_n)
+    assert finder.still == []
+
+
+def test_a_block_that_has_stood_still_before_has_to_stand_still_for_four_times_as_long() -> None:
+    finder = Finder()
+    finder.take(40, np.ones(PHI.shape[0]), mean_n=SOME)
+    finder.take(4, STILL, mean_n=SOME)
+    finder.take(1, np.ones(PHI.shape[0]), mean_n=SOME)
+    for windows, still in ((15, []), (1, [5])):
+        finder.take(windows, STILL, mean_n=SOME)
+        assert finder.still == still

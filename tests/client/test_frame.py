@@ -48,6 +48,14 @@ def test_taxels_of_a_block_that_is_not_valid_are_nan_and_their_estimates_stay(bu
     assert frame.valid_sums.tolist() == [True, True, False, False]
 
 
+def test_masked_taxels_are_nan_and_their_estimates_stay() -> None:
+    builder = FrameBuilder(msgspec.structs.replace(description(), masked=np.array([5, 6], "<u4").tobytes()))
+    builder.take(image(1))
+    (frame,) = builder.take(contacts(1))
+    assert np.flatnonzero(np.isnan(frame.forces)).tolist() == np.flatnonzero(~frame.valid).tolist() == [5, 6]
+    assert np.array_equal(frame.estimate.ravel(), np.arange(16))
+
+
 def test_doubtful_taxels_and_contacts_are_told(builder: FrameBuilder) -> None:
     builder.take(image(1))
     (frame,) = builder.take(contacts(1))

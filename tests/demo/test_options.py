@@ -42,6 +42,7 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
         ({"rate": 10.0}, "--rate is for a recording"),
         ({"defect": ["dead=0.1", "worn"]}, "--defect worn: expected KIND or KIND=AMOUNT"),
         ({"drift": ["whole:step"]}, "--drift whole:step: expected PLACE:COURSE:AMOUNT_N"),
+        *(({"frozen": [text]}, f"--frozen {text}: expected BLOCK") for text in ("x", "128", "1:-1", "1:nan", "1:inf")),
         ({"input": Path("missing.npz")}, "no recording at 'missing.npz'"),
         ({"model": Path("mine.npz"), "classify": False}, "--model is for the classifier"),
         ({"picture": Path("/proc/x.png")}, "/proc/x.png: cannot write the picture there"),

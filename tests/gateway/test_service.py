@@ -4,7 +4,7 @@ import select
 import socket
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from dbc.frame import ECHO, Frames, frames
 from gateway.calibration import GatewayCalibration
 from gateway.collector import Collector
 from gateway.service import GatewayService
+from shell.service import StopSignal
 from tests.messages import Published
 
 
@@ -241,5 +242,34 @@ def test_the_calibration_works_when_nothing_is_due_for_four_milliseconds(
         served.turn(0.001)
     assert len(spares_s) > 200
     assert min(spares_s) > 0.0039
+    for link in served.links:
+        link.close()
+
+
+def test_a_gateway_gives_signs_of_life_before_sync_and_then_for_cycles_alone(
+    small: Contract, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gateway.service.request_real_time", lambda *_: "")
+    served, made, hung_turns = Served(small), list[int](), iter(range(100))
+    for name in ("send_sync", "measurements"):
+        closes = getattr(served.loop, name)
+        monkeypatch.setattr(served.loop, name, lambda *now, closes=closes: [] if hangs() else closes(*now))
+
+    def hangs() -> bool:
+        """Let no cycle close from the fifth on, until the service ends."""
+        return served.loop.gathering.published == 5 and not stop.is_set()
+
+    def is_set() -> bool:
+        served.clock.now_s += 0.01
+        if served.loop.gathering.published == 5 and next(hung_turns, None) is None:
+            stop.set()
+        return stop.is_set()
+
+    stop = StopSignal()
+    served.service.run(cast("StopSignal", SimpleNamespace(is_set=is_set)), made.append)
+    first = made.index(1)
+    assert made[:first] == [0] * first
+    assert first > 10
+    assert made[first:] == [1, 2, 3, 4, 5]
     for link in served.links:
         link.close()

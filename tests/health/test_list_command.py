@@ -66,7 +66,9 @@ def test_services_are_listed_with_what_they_send(
     assert found["skins"]["hand"] == {"error": "no gateway tells its layout"}
     assert by_name["gateway"]["state"].endswith("nodes operational")
     assert by_name["reconstructor"]["state"] == "sends"
-    assert by_name["classifier"]["state"] == "has another layout than the gateway"
+    assert by_name["classifier"]["causes"] == ["service-differs"]
+    assert "service-differs" not in by_name["reconstructor"]["causes"]
+    assert {each["code"] for each in found["notices"]["palm"]} >= {"service-differs"}
     assert by_name["classifier"]["rate_hz"] == 0
     assert by_name["recorder"]["rate_hz"] is None
     assert by_name["gateway"]["fingerprint"] == PALM.phi().fingerprint != by_name["classifier"]["fingerprint"]

@@ -1,6 +1,9 @@
-"""What services tell of themselves, in the snapshot."""
+"""What services tell of themselves, in the snapshot, and notices of those that send nothing."""
+
+import pytest
 
 from canskin.peers import Peer
+from health.notices import STARTED_S
 from health.services import LOSS_S, PEERS, TOLD_S
 from health.state import ViewState
 from tests.health.helpers import Messages, note, seen_of
@@ -52,3 +55,24 @@ def test_what_a_program_tells_itself_is_no_sign_of_the_hub() -> None:
         note(state, "viewer", is_there, 1.0)
     state.take(service_status(1, "viewer"), 1.1)
     assert seen_of(state, 1.1).cut_off
+
+
+def told_at(state: ViewState, now_s: float) -> list[tuple[str, str]]:
+    found = seen_of(state, now_s).notices
+    return [(each.code, each.level) for each in found if each.subject == "reconstructor"]
+
+
+def test_a_reconstructor_that_has_input_and_never_sent_an_image_is_silent() -> None:
+    state = ViewState(Messages().layout)
+    for name in ("gateway", "reconstructor"):
+        note(state, name, True, 0.0)
+    state.take(Messages().gateway(cycles=1000), 1.0)
+    assert told_at(state, 1.0) == [("no-image", "info")]
+    assert told_at(state, 2.0) == [("service-silent", "error")]
+
+
+@pytest.mark.parametrize(("runs_s", "level"), [(STARTED_S - 1, "info"), (STARTED_S, "warning")])
+def test_no_reconstructor_is_a_warning_when_the_gateway_has_run_for_a_while(runs_s: float, level: str) -> None:
+    state, status = ViewState(Messages().layout), Messages().gateway(cycles=1)
+    state.take(Messages().gateway(cycles=round(runs_s * status.sync_rate_hz)), 2.0)
+    assert told_at(state, 2.0) == [("no-image", level)]

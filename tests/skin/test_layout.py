@@ -66,6 +66,8 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("[taxels]", "[taxels]\nuntouchable = [7, 3, 7]", "$.taxels.untouchable"),
         ("[taxels]", f"[taxels]\nuntouchable = {list(range(4096))}", "$.taxels.untouchable"),
         ("[taxels]", "[taxels]\nuntouchable = [1.5]", "$.taxels.untouchable[0]"),
+        ("[taxels]", "[taxels]\nmasked = [4096]", "$.taxels.masked"),
+        ("[taxels]", f"[taxels]\nmasked = {list(range(3000))}", "$.taxels.masked"),  # more than sums of blocks
         ("[taxels]", "[taxels]\nhas_thermometers = 1", "$.taxels.has_thermometers"),
         ('sums = 1024\nselection = "balanced"', 'rows = [[0, 1]]\nselection = "uniform"', "$.measurement.selection"),
         ("rate_hz = 200.0", "rate_hz = -1.0", "$.sync.rate_hz"),

@@ -114,6 +114,9 @@ def test_stepped_sums_say_what_is_known_of_each() -> None:
     offsets = np.arange(16, dtype="<i4")
     less = decode_stepped(msgspec.structs.replace(STEPPED, offsets=offsets.tobytes()), PHI)
     np.testing.assert_array_equal(less.counts, np.where(sums.known, SUMS - offsets, 0))
+    usable = msgspec.structs.replace(STEPPED, usable=bytes([0, *[1] * 15]))
+    assert np.flatnonzero(~decode_stepped(usable, PHI).known).tolist() == [0, 2]
+    assert np.flatnonzero(~decode_stepped(usable, PHI).valid).tolist() == [0, 1]
     nothing = msgspec.structs.replace(STEPPED, known=bytes(16), valid=bytes(8), states=bytes(8))
     assert not decode_stepped(nothing, PHI).known.any()
 

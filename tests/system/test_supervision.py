@@ -13,6 +13,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from itertools import chain, count, islice, product
 from pathlib import Path
 from typing import Final
 
@@ -94,21 +95,30 @@ def units(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Unit
         made.close()
 
 
+def hit(skin: Units, seen: Seen, name: str, how: str) -> float:
+    """Kill or stop a service; return after how many seconds the skin is whole again."""
+    hit_s = time.monotonic()
+    skin.hit(name, HOW[how])
+    skin.until(lambda: skin.units[name].is_ready, f"{name} to be ready")
+    ready_s = time.monotonic()
+    skin.until(lambda: not seen.lacks(ready_s), f"a whole skin after {how} of {name}")
+    whole_s = time.monotonic()
+    times = (f"{each - hit_s:.1f} s" for each in (skin.units[name].launched_s, ready_s, whole_s))
+    print("{} {}: started again after {}, ready {}, skin whole {}".format(how, name, *times), flush=True)
+    return whole_s - hit_s
+
+
 def test_a_skin_is_whole_again_whatever_is_killed_or_stopped(units: tuple[Units, Seen]) -> None:
     skin, seen = units
     skin.until(lambda: not seen.lacks(0.0), "a whole skin")
-    drawn, took_s = random.Random(HITS), defaultdict[str, list[float]](list)
-    for _ in range(HITS):
-        name, how = drawn.choice(list(skin.units)), drawn.choice(list(HOW))
-        hit_s = time.monotonic()
-        skin.hit(name, HOW[how])
-        skin.until(lambda name=name: skin.units[name].is_ready, f"{name} to be ready")  # type: ignore[misc]
-        ready_s = time.monotonic()
-        skin.until(lambda since_s=ready_s: not seen.lacks(since_s), f"a whole skin after {how} of {name}")  # type: ignore[misc]
-        took_s[f"{how:4} {name}"].append(time.monotonic() - hit_s)
-        print(f"{how} {name}: ready after {ready_s - hit_s:.1f} s, whole after {took_s[f'{how:4} {name}'][-1]:.1f} s")
-    for name, each in sorted(took_s.items()):
-        print(f"{name:20} {len(each):3} times, whole after {min(each):.1f} to {max(each):.1f} s")
+    hits, took_s = list(product(skin.units, HOW)), defaultdict[str, list[float]](list)
+    drawn = random.Random(HITS)
+    # All services alike, in a new order each time round.
+    for name, how in islice(chain.from_iterable(drawn.sample(hits, len(hits)) for _ in count()), HITS):
+        took_s[f"{how} {name}"].append(hit(skin, seen, name, how))
+    for what, each in sorted(took_s.items()):
+        print(f"{what:20} {len(each):3} times, whole after {min(each):.1f} to {max(each):.1f} s")
     every = sorted(value for each in took_s.values() for value in each)
     print(f"{len(every)} hits: median {statistics.median(every):.1f} s, longest {every[-1]:.1f} s")
-    assert sum(len(unit.ends) for unit in skin.units.values()) == HITS, {n: u.ends for n, u in skin.units.items()}
+    ended = {name: unit.ends for name, unit in skin.units.items()}
+    assert sum(map(len, ended.values())) == HITS, ended  # nobody else's watchdog ran out

@@ -35,6 +35,8 @@ class Unit:
     process: subprocess.Popen[bytes]
     is_ready: bool = False
     late_s: float = NEVER_S
+    #: When its process was started last.
+    launched_s: float = 0.0
     #: None while the process runs.
     again_s: float | None = None
     #: Exit status of each of its processes that ended.
@@ -129,7 +131,7 @@ class Units:
             unit.again_s = now_s + self._again_s if status else NEVER_S
         elif unit.again_s is not None and now_s >= unit.again_s:
             unit.process = self._launch(unit.words, unit.log)
-            unit.late_s, unit.again_s = NEVER_S, None
+            unit.late_s, unit.again_s, unit.launched_s = NEVER_S, None, now_s
         elif now_s >= unit.late_s:
             unit.late_s = NEVER_S
             # In this order, as systemd does for a process that may be stopped.

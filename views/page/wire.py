@@ -63,6 +63,7 @@ def greeting(layout: Layout, actions: Sequence[str] = ()) -> dict[str, Any]:
         "rate_hz": layout.sync.rate_hz,
         "blocks": layout.blocks,
         "block_of_taxel": np.where(phi.is_wired, phi.block_of_taxel, -1).tolist(),
+        "masked": list(taxels.masked or ()),
         "buses": buses,
         "actions": list(actions),
         "regions": [each.name for each in regions_of(layout)[1:]],

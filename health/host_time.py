@@ -1,4 +1,4 @@
-"""``skin doctor``: what the clocks and the scheduler of this host do to a skin."""
+"""``skin doctor time``: what the clocks and the scheduler of this host do to a skin."""
 
 import ctypes
 import os
@@ -9,16 +9,15 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Final
 
 import numpy as np
-from cyclopts import Parameter
 
 from canskin.errors import InputError, RunError
-from canskin.peers import REAL_TIME
+from canskin.peers import ORDINARY, REAL_TIME
 from shell.service import StopSignal, request_real_time, way_to_real_time
-from shell.terminal import Json, print_json, print_table
-from skin.layout import load_layout
+from shell.terminal import print_json, print_table
+from skin.layout import Layout
 from skin.ranges import require_above_zero
 
 SECONDS_MAX: Final = 3600.0
@@ -47,39 +46,20 @@ class Setting:
     gain: str = ""
 
 
-def doctor(
-    subject: Literal["time"],
-    *,
-    layout: Path | None = None,
-    seconds: Annotated[float, Parameter(alias="-t")] = 5.0,
-    json: Json = False,
-) -> None:
-    """Measure how exactly this host wakes a service, and name the settings that would make it better.
+def measure(layout: Layout, seconds: float, *, as_json: bool) -> None:
+    """Wait for the SYNC periods of a layout as the gateway does, with a service's scheduling, and print how late.
 
-    Waits for the SYNC periods of the layout as the gateway does, with the scheduling that a service gets here. Run it
-    as the user of the services, while the robot's other programs run. Late wake-ups do not fail.
-
-    Parameters
-    ----------
-    subject
-        ``time``.
-    layout
-        TOML of the skin, for its SYNC period; without it the default skin.
-    seconds
-        Time of the measurement; Ctrl-C ends it.
-    json
-        Print one JSON object.
-
-    Examples
-    --------
-    skin doctor time
-    skin doctor time --layout palm.toml --seconds 60 --json
+    Raises
+    ------
+    InputError
+        If this is no Linux, or `seconds` is no such time.
+    RunError
+        If `seconds` is shorter than two periods.
     """
-    del subject  # cyclopts refuses any other
     if sys.platform != "linux":
         raise InputError(f"expected Linux, got {sys.platform}: run 'skin doctor time' on the gateway's host")
     require_above_zero("--seconds", seconds, SECONDS_MAX)
-    period_s = load_layout(layout).sync.period_s
+    period_s = layout.sync.period_s
     scheduling = request_real_time("doctor")
     late_s = wake_ups(period_s, seconds, StopSignal().install())
     if len(late_s) < 2:
@@ -97,7 +77,7 @@ def doctor(
         "timer_resolution_ns": 1e9 * time.clock_getres(time.CLOCK_MONOTONIC),
     }
     found = settings(scheduling)
-    if json:
+    if as_json:
         print_json({**figures, "settings": found})
         return
     print_table(["", "measured"], ([name, f"{value:.6g}"] for name, value in figures.items()))
@@ -138,7 +118,7 @@ def settings(scheduling: str) -> list[Setting]:
     Parameters
     ----------
     scheduling : str
-        What `request_real_time` has obtained.
+        What `request_real_time` has obtained; empty if it was not called.
     """
     return [_right(scheduling), _clock(), _synchronised(), _timer(), _governor(), _preemption()]
 
@@ -149,7 +129,9 @@ def _right(scheduling: str) -> Setting:
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     found = re.search(r"^CapEff:\s*(\w+)", _read("/proc/self/status"), re.MULTILINE)
     capabilities = int(found[1], 16) if found else 0
-    value = f"{scheduling}; rtprio {limit}, CAP_SYS_NICE {'yes' if capabilities >> _CAP_SYS_NICE & 1 else 'no'}"
+    is_capable = bool(capabilities >> _CAP_SYS_NICE & 1)
+    scheduling = scheduling or (REAL_TIME if limit or is_capable else ORDINARY)
+    value = f"{scheduling}; rtprio {limit}, CAP_SYS_NICE {'yes' if is_capable else 'no'}"
     if scheduling == REAL_TIME:
         return Setting("scheduling", value)
     gain = "images in time beside busy programs, where the chain breaks down without (docs/containers.md)"
