@@ -25,43 +25,38 @@ class _Handler(WSGIRequestHandler):
 class _Server(ThreadingMixIn, WSGIServer):
     daemon_threads = True
 
-    def __init__(self, listener: socket.socket, app: Callable[..., Any]) -> None:
+    def __init__(self, listener: socket.socket) -> None:
         super().__init__(listener.getsockname()[:2], _Handler, bind_and_activate=False)
         self.socket.close()
         self.socket = listener
         self.server_name, self.server_port = listener.getsockname()[:2]
         self.setup_environ()
-        self.set_app(app)
         self._places = threading.BoundedSemaphore(REQUESTS_MAX)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a request in a thread of its own, if there is a place."""
         if self._places.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a request, and give its place back."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._places.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of who leaves or says nothing."""
-        if not isinstance(sys.exception(), OSError):
+        if not isinstance(sys.exception(), OSError):  # who leaves, or says nothing, is no error
             super().handle_error(request, client_address)
 
 
 @contextmanager
 def serving(listener: socket.socket, app: Callable[..., Any]) -> Iterator[None]:
     """Serve a WSGI application on a socket that listens."""
-    server = _Server(listener, app)
-    thread = threading.Thread(target=server.serve_forever, name="metrics", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        server.shutdown()
-        server.server_close()
+    with _Server(listener) as server:
+        server.set_app(app)
+        threading.Thread(target=server.serve_forever, name="figures", daemon=True).start()
+        try:
+            yield
+        finally:
+            server.shutdown()
