@@ -84,13 +84,15 @@ def _head(state: Snapshot) -> list[Text]:
         head.append(f"{label.label} {label.confidence:.0%}" if label.label else "untouched")
     if (patch := next(iter(state.patches), None)) is not None and patch.force_n is not None:
         head.append(f"{_GAP}{patch.force_n:.3g} N")
-    rates = [f"SYNC {gateway.sync_rate_hz:.1f} Hz"] if gateway is not None and not gateway.stale else []
+    rates = [_clock(state.time_s)]
+    if gateway is not None and not gateway.stale:
+        rates.append(f"SYNC {gateway.sync_rate_hz:.1f} Hz")
     rates.append(f"images {figures.images_hz:.1f}/s")
     if figures.latency_p50_s is not None and figures.latency_p99_s is not None:
         rates.append(f"latency {1e3 * figures.latency_p50_s:.1f} ms, p99 {1e3 * figures.latency_p99_s:.1f} ms")
     if figures.valid_blocks_low is not None:
         rates.append(f"blocks {figures.valid_blocks} of {figures.blocks}, least {figures.valid_blocks_low}")
-    return [head, Text(f" {_GAP.join(rates)}{_GAP}{_clock(state.time_s)}")]
+    return [head, Text(f" {_GAP.join(rates)}")]
 
 
 def _keys(shown: str, above: int, below: int) -> Text:

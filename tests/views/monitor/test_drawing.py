@@ -88,7 +88,7 @@ def test_all_that_is_known_is_in_a_large_terminal() -> None:
     clock = time.strftime("%H:%M:%S", time.localtime(1002.0))
     seen = (
         "palm +nothing is wrong +golf-ball 93% +.* N",
-        f"SYNC 100.0 Hz +images 10.0/s +latency 5.0 ms, p99 5.0 ms +blocks 8 of 8, least 8 +{clock}",
+        f"{clock} +SYNC 100.0 Hz +images 10.0/s +latency 5.0 ms, p99 5.0 ms +blocks 8 of 8, least 8",
         "left +█{6}░{4} +62% +0% +active +4 of 4 +0 +0 +0",
         "reconstructor +runs +1 MiB +50.0% +100.0/s +0 +[0-9:]{8} +realtime",
         "right +4 +1-3 ms +400-600 ms +0",
