@@ -50,7 +50,7 @@ class Parts:
             def __init__(self, *given: object, **named: object) -> None:
                 parts.calls.append(("service", given, named))
 
-            def run(self, stop: StopSignal) -> None:
+            def run(self, stop: StopSignal, _beat: object) -> None:
                 parts.calls.append(("run", (stop,), {}))
                 raise KeyboardInterrupt
 
@@ -71,7 +71,7 @@ def test_it_runs_the_hub_unless_it_joins_another(
     assert place[1:] == ("gateway", hub)
     assert options["hub"] is (connect is None)
     assert options["fingerprint"] == service[0].phi.fingerprint
-    assert links["stop"] is options["stop"] is stop
+    assert links["stop"] is stop
     assert capsys.readouterr().err == "gateway: 2 buses, SYNC 200 Hz\n"
     assert sorted(parts.closed) == ["bus0", "bus1", "fabric"]
 
