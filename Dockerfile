@@ -8,7 +8,7 @@ COPY . .
 # By the environment, so that the lock holds in the isolated builds of our own packages, too.
 ENV PIP_CONSTRAINT=/src/requirements.lock
 RUN python -m venv /opt/canskin \
-    && /opt/canskin/bin/pip install --no-cache-dir ${WHEELS:+--no-index --find-links "/src/$WHEELS"} ./client .
+    && /opt/canskin/bin/pip install --no-cache-dir ${WHEELS:+--no-index --find-links "/src/$WHEELS"} ./client ".[metrics]"
 
 FROM ${BASE}
 # Sockets of the virtual buses and of the hub, and what is worth keeping: compiled kernels, trained classifiers, the zero.

@@ -80,7 +80,7 @@ test-containers: setup wheels
 # One file for every platform and Python; hatchling builds our own packages in the image.
 lock: setup
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check "uv>=0.9,<1"
-	printf '%s\n' ./client . 'hatchling>=1.27,<2' | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version $(OLDEST) \
+	printf '%s\n' ./client '.[metrics]' 'hatchling>=1.27,<2' | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version $(OLDEST) \
 		--no-emit-package canskin --no-emit-package canskin-client --no-annotate --no-header --output-file requirements.lock -
 
 wheels: wheels/.complete

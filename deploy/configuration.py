@@ -32,6 +32,7 @@ ROLES: Final = {
     "view": "operator",
     "record": "recorder",
     "ros2": "ros2",
+    "metrics": "viewer",
 }
 #: Folders that the services cannot see (ProtectHome=, systemd.exec(5)).
 HOMES: Final = ("/home", "/root", "/run/user")
@@ -51,6 +52,7 @@ SKIN_gateway=-i socketcan -c {channels}{keep_zero}{connect}
 SKIN_reconstruct=
 SKIN_classify=
 SKIN_view=
+SKIN_metrics=
 SKIN_record=-i socketcan -c {channels}
 # With keys (deploy/install --keys): where the hub listens.
 SKIN_hub=--listen tls/0.0.0.0:7447
@@ -98,6 +100,13 @@ Environment=SKIN_KEYS=/etc/canskin/keys/{role}
 HUB_START: Final = """\
 ExecStart=
 ExecStart={venv}/bin/skin hub $SKIN_hub
+"""
+
+METRICS: Final = """\
+# One service for all skins of the hub.
+[Service]
+ExecStart=
+ExecStart={venv}/bin/skin metrics $SKIN_metrics
 """
 
 RECORD: Final = """\
@@ -180,6 +189,7 @@ def files(
     for verb in ON_THE_BUSES:
         own = RECORD.format(venv=venv) if verb == "record" else ""
         yield f"etc/systemd/system/skin@{verb}.service.d/10-canskin.conf", order + own
+    yield "etc/systemd/system/skin@metrics.service.d/10-canskin.conf", METRICS.format(venv=venv)
     for verb, role in ROLES.items() if has_keys else ():
         own = HUB_START.format(venv=venv) if verb == "hub" else ""
         yield f"etc/systemd/system/skin@{verb}.service.d/20-keys.conf", KEYS.format(role=role) + own

@@ -18,6 +18,7 @@ from typing import Final
 
 import httpx
 
+from docs.monitor_picture import monitor
 from docs.rerun_picture import rerun
 from shell.output import write_file
 from tests.browser import CHROMIUM, Browser, chromium
@@ -97,6 +98,8 @@ FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "page.png": page,
     "hand-page.png": partial(page, layout="hand"),
     "forearm-page.png": partial(page, layout="forearm"),
+    "monitor.svg": partial(monitor, size=(80, 24)),
+    "monitor-large.svg": partial(monitor, size=(200, 50)),
     "rerun.png": rerun,
     "paper-images.png": paper_images,
     "paper-psnr.png": paper_psnr,

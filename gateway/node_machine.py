@@ -14,7 +14,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from canskin.messages import SILENT, Fault, NodeFault
-from dbc.canopen import COMMANDED, NMT_COB_ID, Emergency, NmtCommand, NmtState, state_text
+from dbc.canopen import COMMANDED, NMT_COB_ID, NmtCommand, NmtState, state_text
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
 from dbc.dictionary import SILENT_AFTER_S
@@ -33,8 +33,6 @@ STABLE_S: Final = 10.0
 UNDER_WAY_NS: Final = 300_000_000
 #: Emergencies of a node that are kept.
 HISTORY: Final = 8
-#: A board tells a missed window once, and never that its frames are in time again: the error is over after this time.
-MISSED_S: Final = 10.0
 #: An emergency at most this long before a node left is logged as the reason.
 EXPLAINS_S: Final = 2.0
 
@@ -358,8 +356,6 @@ class NodeMachine:
             self._happen(Event.RUNNING, now_s)
         if self.tries and self.in_use and now_s - self.used_since_s > STABLE_S:
             self.tries = 0
-        if self.emcy == Emergency.WINDOW_MISSED and now_s - self.emcy_s > MISSED_S:
-            self.emcy = 0
         if now_s - self.proven_s > limit_s and self.in_use:
             self._happen(Event.OUTDATED, now_s, f"not proven for {now_s - self.proven_s:.0f} s")
 

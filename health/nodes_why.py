@@ -16,8 +16,11 @@ NMT_WORDS: Final[dict[int, str]] = {
     NmtState.PRE_OPERATIONAL: "pre-operational",
     SILENT: "silent",
 }
-#: A node loses frames until none has been missing for this time.
-LOSS_S: Final = 2.0
+#: A node loses frames until none has been missing for this time, that of `health.state.SPAN_S`.
+LOSS_S: Final = 1.0
+#: Emergencies from this code on are of the device (CiA 301, 7.2.7.1): that it missed its window once, whose end no node
+#: tells. They explain frames that are missing now, and are no trouble without.
+DEVICE_EMCY: Final = 0xFF00
 #: A node is late whose answers or heartbeats take this part of the time that they have.
 LATE_RATIO: Final = 0.9
 #: By why the gateway does not use a node: words for several nodes.
@@ -64,11 +67,12 @@ def _trouble(status: GatewayStatus, bus: BusState, place: int, *, twice: bool, l
         return trouble_of(fault, nmt, emergency)
     if twice:
         return Trouble(Cause.NODE_TWICE, "there twice: each sum comes twice, and differs")
-    if emergency:
+    if 0 < code < DEVICE_EMCY:
         return Trouble(Cause.NODE_EMERGENCY, emergency)
     if late := _late(status, bus, place):
         return Trouble(Cause.NODE_LATE, "late", late)
-    return Trouble(Cause.NODE_LOSES, "frames with sums are missing") if loses else None
+    words = "frames with sums are missing"
+    return Trouble(Cause.NODE_LOSES, words, ", ".join(filter(None, (words, emergency)))) if loses else None
 
 
 def trouble_of(fault: NodeFault, nmt: int, emergency: str = "") -> Trouble:

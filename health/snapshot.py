@@ -273,11 +273,43 @@ class PlaybackState(msgspec.Struct, frozen=True, kw_only=True):
     speed: float
 
 
+class Moment(msgspec.Struct, frozen=True):
+    """A skin at one instant, for curves: None for what was not measured then.
+
+    Attributes
+    ----------
+    force_n : float or None
+        On the whole skin.
+    latency_s : float or None
+        Of the newest image, from SYNC to its publication.
+    load_ratio : float or None
+        The largest of the buses.
+    missing : int or None
+        Frames with sums that did not come, since the start of the gateway.
+    label : str or None
+        Empty without contact.
+    mark : str or None
+        What touches the skin, as the newest mark says; empty where that says nothing.
+    contacts : list of (int, float), or None
+        Identity and force in newtons of each contact.
+    """
+
+    force_n: float | None
+    latency_s: float | None
+    load_ratio: float | None
+    missing: int | None
+    label: str | None
+    mark: str | None
+    contacts: list[tuple[int, float]] | None
+
+
 class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     """Content of the page without pixels; ``cut_off`` when the viewer has lost the hub.
 
     Attributes
     ----------
+    moment : Moment
+        What the history has of this instant.
     patches : list of PatchState
         The whole skin, then its regions; empty before the first image.
     other_skins : list of str
@@ -286,6 +318,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
 
     time_s: float
     skin: str
+    moment: Moment
     image: ImageState | None
     contacts: ContactsState | None
     truth: TruthState | None

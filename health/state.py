@@ -1,8 +1,9 @@
 """The state of a skin: messages in, snapshots out. Time is an argument; there is no thread and no connection here."""
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable
 from math import inf
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 import numpy as np
@@ -39,6 +40,7 @@ from health.snapshot import (
     GatewayState,
     ImageState,
     LabelState,
+    Moment,
     NodesState,
     Pictures,
     Pixels,
@@ -55,6 +57,10 @@ from skin.psnr import adds_noise
 TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES, SERVICES)
 #: Images, contacts, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
+#: An image is shown without its contacts, its label or its truth if they have not come this long after it.
+HELD_S: Final = 0.1
+#: Most images, contacts and labels that wait for what belongs to them.
+WAITING: Final = 512
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
 STATUS_FRESH_S: Final = 1.5
 #: Most processes of nodes shown; the one with the oldest message is dropped first.
@@ -81,15 +87,19 @@ class Latest(Generic[Message]):
     Attributes
     ----------
     message : struct or None
-        None before the first.
+        What is shown; None before the first.
     at_s : float
-        When it came.
+        When the newest came.
     """
 
     def __init__(self, services: Services, sender: str, fresh_s: float = FRESH_S) -> None:
         self.message: Message | None = None
         self.at_s = -inf
         self._services, self._sender, self._fresh_s = services, sender, fresh_s
+
+    def take(self, message: Message, now_s: float) -> None:
+        """Take a message that came at `now_s`."""
+        self.message, self.at_s = message, now_s
 
     def is_stale(self, now_s: float) -> bool:
         """Tell whether the message is too old, or its sender has gone since."""
@@ -108,34 +118,25 @@ class Latest(Generic[Message]):
         return kind(**{**msgspec.structs.asdict(self.message), **age, **more})
 
 
-class Moment(NamedTuple):
-    """A skin at one instant, for curves: None for what was not measured then.
+class Held(Latest[Message]):
+    """Messages of a topic, of which that of the instant shown is chosen; `Latest` describes the parameters."""
 
-    Attributes
-    ----------
-    force_n : float or None
-        On the whole skin.
-    latency_s : float or None
-        Of the newest image, from SYNC to its publication.
-    load_ratio : float or None
-        The largest of the buses.
-    missing : int or None
-        Frames with sums that did not come, since the start of the gateway.
-    label : str or None
-        Empty without contact.
-    mark : str or None
-        What touches the skin, as the newest mark says; empty where that says nothing.
-    contacts : list of (int, float), or None
-        Identity and force in newtons of each contact.
-    """
+    def __init__(self, services: Services, sender: str) -> None:
+        super().__init__(services, sender)
+        #: Messages, from the one shown on, and when they came.
+        self.came: deque[tuple[Message, float]] = deque(maxlen=WAITING)
 
-    force_n: float | None
-    latency_s: float | None
-    load_ratio: float | None
-    missing: int | None
-    label: str | None
-    mark: str | None
-    contacts: list[tuple[int, float]] | None
+    def take(self, message: Message, now_s: float) -> None:
+        """Keep a message that came at `now_s`."""
+        self.came.append((message, now_s))
+        self.at_s = now_s
+
+    def choose(self, is_fit: Callable[[Message, float], bool]) -> None:
+        """Show the newest message that is fit, given when it came, or none; forget those before it."""
+        chosen = next((each for each in reversed(self.came) if is_fit(*each)), None)
+        self.message = chosen[0] if chosen else None
+        while chosen and self.came[0] is not chosen:
+            self.came.popleft()
 
 
 class ViewState:
@@ -157,24 +158,24 @@ class ViewState:
         self._sending_blocks = int(phi.has_sums.sum())
         self._epoch_s, self._service_name = epoch_s, service
         self._services = Services(new_peer(layout.name, display_name(service), phi.fingerprint), epoch_s)
-        self._image = Latest[Image](self._services, "reconstructor")
-        self._contacts = Latest[Contacts](self._services, "reconstructor")
-        self._label = Latest[Label](self._services, "classifier")
+        self._image = Held[Image](self._services, "reconstructor")
+        self._contacts = Held[Contacts](self._services, "reconstructor")
+        self._label = Held[Label](self._services, "classifier")
         self._gateway = Latest[GatewayStatus](self._services, "gateway", STATUS_FRESH_S)
-        self._mark: Mark | None = None
-        self._nodes: dict[str, Latest[NodesStatus]] = {}
-        self._newest: Mapping[type, Latest[Any]] = {
+        self._latest: dict[type, Latest[Any]] = {
             Image: self._image,
             Contacts: self._contacts,
             Label: self._label,
             GatewayStatus: self._gateway,
         }
+        self._mark: Mark | None = None
+        self._nodes: dict[str, Latest[NodesStatus]] = {}
         #: When the newest message came.
         self._came_s = -inf
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
         self._patches, self._troubles = Patches(layout), Troubles()
-        self._comparison = Comparison(layout, SPAN_S)
+        self._comparison, self._has_truths = Comparison(layout, SPAN_S), False
 
     def take(self, message: msgspec.Struct, now_s: float) -> bool:
         """Use a message of one of `TOPICS` that came at `now_s`; return whether it fits the skin."""
@@ -192,24 +193,25 @@ class ViewState:
                 self._comparison.take(message, now_s)
             case Truth():
                 self._comparison.take(message, now_s)
+                self._has_truths = True
             case Mark():
                 self._mark = message
             case GatewayStatus():
                 self._troubles.take(message, now_s)
             case NodesStatus():
                 self._nodes.pop(message.process, None)
-                self._nodes[message.process] = latest = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
-                latest.message, latest.at_s = message, now_s
+                self._nodes[message.process] = process = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
+                process.take(message, now_s)
                 while len(self._nodes) > PROCESSES:
                     del self._nodes[next(iter(self._nodes))]
-        if (newest := self._newest.get(type(message))) is not None:
-            newest.message, newest.at_s = message, now_s
+        if (latest := self._latest.get(type(message))) is not None:
+            latest.take(message, now_s)
         return True
 
     def _count(self, image: Image, now_s: float) -> None:
-        """Count an image before it becomes the newest."""
+        """Count an image before it is taken."""
         # An image without any new sum, of a skin with nothing to send, has no latency.
-        before = self._image.message
+        before = self._image.came[-1][0] if self._image.came else None
         is_new = before is None or before.sampled_mono_ns != image.sampled_mono_ns
         self._valid.add(now_s, _valid_blocks(image))
         if image.valid_sums and not self._layout.sends.in_cycles:  # a quiet skin has images without new sums
@@ -234,6 +236,7 @@ class ViewState:
 
         The PSNR of a single snapshot is that of its image, not the mean of the last second, which costs more.
         """
+        self._choose(now_s)
         image, status = self._image.message, self._gateway.message
         truth = None if image is None else self._comparison.truth_of(image)
         if not is_single:
@@ -247,6 +250,7 @@ class ViewState:
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
             skin=self._layout.name,
+            moment=self.moment(now_s),
             image=self._image_state(now_s),
             contacts=self._contacts.shown(ContactsState, now_s),
             truth=self._truth_state(truth, now_s),
@@ -276,6 +280,29 @@ class ViewState:
         is_grid = self._layout.taxels.surface.is_grid
         return notices(bare, self._service_name, is_grid=is_grid), pictures
 
+    def _choose(self, now_s: float) -> None:
+        """Choose the newest image that all that belongs to it has come to, and its contacts and its label.
+
+        The label is the newest that is not newer than the image: the classifier may leave cycles out. While no images
+        come, contacts and labels are the newest.
+        """
+        # An image that is older than this is shown no longer, whatever the next one still waits for.
+        held_s = HELD_S if self._image.came and now_s - self._image.came[0][1] <= FRESH_S else 0.0
+        self._image.choose(
+            lambda image, at_s: image is self._image.message or now_s - at_s >= held_s or self._is_whole(image)
+        )
+        image = None if self._image.is_stale(now_s) else self._image.message
+        self._contacts.choose(
+            lambda each, _: not image or (each.cycle, each.sampled_mono_ns) == (image.cycle, image.sampled_mono_ns)
+        )
+        self._label.choose(lambda each, _: not image or each.sampled_mono_ns <= image.sampled_mono_ns)
+
+    def _is_whole(self, image: Image) -> bool:
+        """Tell whether contacts, label and truth of an image have come, if any such messages come."""
+        others: tuple[Held[Any], ...] = self._contacts, self._label
+        is_reached = all(not each.came or each.came[-1][0].sampled_mono_ns >= image.sampled_mono_ns for each in others)
+        return is_reached and (not self._has_truths or self._comparison.truth_of(image) is not None)
+
     def _image_state(self, now_s: float) -> ImageState | None:
         image = self._image.message
         if image is None:
@@ -303,6 +330,7 @@ class ViewState:
 
     def moment(self, now_s: float) -> Moment:
         """Return what curves show of `now_s`."""
+        self._choose(now_s)
         image, contacts = self._image.fresh(now_s), self._contacts.fresh(now_s)
         gateway, label = self._gateway.fresh(now_s), self._label.fresh(now_s)
         image = image if image and image.valid_sums else None

@@ -24,6 +24,7 @@ KERNELS: Final = "tests/reconstructor/"
 #: Whole chains: their services keep time, so they run one after the other and before other tests.
 CHAINS: Final = (
     *("tests/system/", "tests/views/page/test_browser.py"),
+    "tests/views/metrics/test_prometheus.py",
     "tests/deploy/test_units.py",  # at the end: its services take over the kernels that others have made
 )
 #: Other tests get a quarter of a core that a chain wants, too.

@@ -108,7 +108,9 @@ class CalibrationStatus(Told, frozen=True, kw_only=True):
 
     @property
     def zero_words(self) -> str:
-        """How many blocks have a zero of which support, and the age of the oldest; empty if unknown."""
+        """How many blocks have a zero of which support, and the age of the oldest; empty if unknown or off."""
+        if self.state is CalibrationState.OFF and not any(self.zero_support):
+            return ""
         counts, oldest_s = Counter(self.zero_support), self.oldest_zero_s
         words = ", ".join(f"{counts[each]} {each.name.lower()}" for each in reversed(ZeroSupport) if counts[each])
         return words if not words or oldest_s is None else f"{words}; oldest {oldest_s:.0f} s"

@@ -77,8 +77,8 @@ ROLES: Final = {
         ask=(LAYOUT,),
     ),
     "viewer": Role(
-        "skin view, show, list and calibration show: changes nothing",
-        ("viewer", "show", "calibration"),
+        "skin view, monitor, show, metrics, list and calibration show: changes nothing",
+        ("viewer", "monitor", "show", "exporter", "calibration"),
         put=(SERVICES,),
         subscribe=TOPICS,
         ask=(LAYOUT, ZERO),
@@ -105,7 +105,7 @@ ROLES: Final = {
     ),
     "operator": Role(
         "a person: skin tare and calibration, a page with its actions, programs that tare or mark; and all that reads",
-        ("viewer", "show", "calibration", "recorder", "client", "ros2"),
+        ("viewer", "monitor", "show", "exporter", "calibration", "recorder", "client", "ros2"),
         put=(MARK, SERVICES),
         subscribe=TOPICS,
         ask=QUESTIONS,

@@ -50,7 +50,9 @@ def test_a_request_keeps_its_region_on_the_wire() -> None:
 
 
 def test_the_zero_in_words() -> None:
-    assert (STATUS.zero_words, STATUS.doubtful_words, STATUS.oldest_zero_s) == ("", "", None)
+    off = CalibrationStatus(state=CalibrationState.OFF, zero_support=bytes(3))
+    for each in (STATUS, off):
+        assert (each.zero_words, each.doubtful_words, each.oldest_zero_s) == ("", "", None)
     some = [ZeroSupport.MEASURED] * 3 + [ZeroSupport.STORED, ZeroSupport.NONE, ZeroSupport.STORED]
     told = msgspec.structs.replace(STATUS, zero_support=bytes(some), told_mono_ns=60_000_000_000)
     assert told.zero_words == "3 measured, 2 stored, 1 none"

@@ -92,7 +92,7 @@ def test_each_service_gets_the_keys_of_its_role_and_no_other(install: Install, t
     root, given = tmp_path / "root", tmp_path / "keys"
     new(given, skin="skin")
     assert " skin@hub skin@gateway " in install(root, "--keys", str(given)).stdout
-    roles = {"hub", "gateway", "reconstructor", "classifier", "operator", "recorder", "ros2"}
+    roles = {"hub", "gateway", "reconstructor", "classifier", "operator", "recorder", "ros2", "viewer"}
     assert {path.name for path in (root / "etc/canskin/keys").iterdir()} == roles
     for verb, role in ROLES.items():
         (line,) = (word for word in Unit(root, verb).settings["Environment"] if word.startswith("SKIN_KEYS="))

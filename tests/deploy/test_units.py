@@ -23,8 +23,8 @@ from tests.readonly import give_compiled, gives_real_time, not_here
 from tests.system.helpers import first_image
 
 VERBS = ("gateway", "reconstruct", "classify", "view", "record")
-#: ROS 2 has no part in the chain that runs here.
-INSTANCES = (*VERBS, "ros2")
+#: ROS 2 and Prometheus have no part in the chain that runs here.
+INSTANCES = (*VERBS, "ros2", "metrics")
 #: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
 EXPOSURE_MAX = 20
 #: Where the services keep kernels, and the module of the gateway whose kernels are not there before.

@@ -38,6 +38,8 @@ class Unit:
         assert self._last("ProtectSystem") == "strict"
         assert self._last("NoNewPrivileges") == "yes"
         assert self.settings["CapabilityBoundingSet"] == self.settings["AmbientCapabilities"] == []
+        limit = self._last("WatchdogSec")
+        limit_s = int(limit.removesuffix("min")) * (60 if limit.endswith("min") else 1)
         places = {variable: f"{parent}/{self._last(key)}" for key, parent, variable in FOLDERS}
         families = " ".join(self.settings["RestrictAddressFamilies"]).split()
         calls: set[str] = set()
@@ -45,7 +47,13 @@ class Unit:
             expanded = {call for name in names.lstrip("~").split() for call in system_calls(name)}
             calls = calls - expanded if names.startswith("~") else calls | expanded
         return Confined(
-            {"PATH": "/usr/bin:/bin", "HOME": "/var/lib/canskin", **places, **self._environment()},
+            {
+                "PATH": "/usr/bin:/bin",
+                "HOME": "/var/lib/canskin",
+                "WATCHDOG_USEC": f"{limit_s}000000",
+                **places,
+                **self._environment(),
+            },
             {place: folders / place.lstrip("/") for place in places.values()},
             {"/etc/canskin": self.root / "etc/canskin"},
             rtprio=int(self._last("LimitRTPRIO")),

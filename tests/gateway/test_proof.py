@@ -311,3 +311,18 @@ def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> No
         steps.throw(SdoAbortedError(read, 0x0800_0020))
     assert doubts == ["doubted: its configuration is not that of the layout"]
     assert "abort 08000020h" in ended.value.value.refusal
+
+
+def test_another_device_is_named_as_such_though_it_has_no_other_object() -> None:
+    contract = small_contract()
+    settings = configuration(contract, contract.nodes[0])
+    steps = prove(settings, 0, Known(()), write=True, in_use=False, doubt=lambda _: None)
+    transfer, proof = next(steps), None
+    while proof is None:
+        try:
+            is_there = transfer.index == od.IDENTITY
+            transfer = steps.send(little(7)) if is_there else steps.throw(SdoAbortedError(transfer, 0x0602_0000))
+        except StopIteration as end:
+            proof = end.value
+    assert proof.is_other_device
+    assert "1018h:1" in proof.refusal

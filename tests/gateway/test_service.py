@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from bus.link import State
-from canskin.messages import GatewayStatus, Measurement
+from canskin.messages import Fault, GatewayStatus, Measurement, NodeFault
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from gateway.calibration import GatewayCalibration
 from gateway.collector import Collector
+from gateway.frozen_boards import FROZEN
 from gateway.service import GatewayService
 from shell.service import StopSignal
-from tests.messages import Published
+from tests.messages import Published, bus_state, gateway_status
 
 
 @pytest.fixture(autouse=True)
@@ -272,5 +273,17 @@ def test_a_gateway_gives_signs_of_life_before_sync_and_then_for_cycles_alone(
     assert made[:first] == [0] * first
     assert first > 10
     assert made[first:] == [1, 2, 3, 4, 5]
+    for link in served.links:
+        link.close()
+
+
+def test_the_status_names_frozen_boards_unless_there_is_worse(small: Contract, monkeypatch: pytest.MonkeyPatch) -> None:
+    calibration, silent = GatewayCalibration(small), NodeFault(Fault.SILENT)
+    served = Served(small, calibration)
+    monkeypatch.setattr(calibration, "frozen_on", lambda bus: {1: FROZEN, 2: FROZEN} if bus else {})
+    buses = [bus_state("bus0"), bus_state("bus1", faults={1: silent})]
+    monkeypatch.setattr(served.loop, "status", lambda *_: gateway_status(buses=buses))
+    served.service.publish_status()
+    assert [bus.faults for bus in served.statuses[-1].buses] == [{}, {1: silent, 2: FROZEN}]
     for link in served.links:
         link.close()

@@ -73,6 +73,7 @@ class Messages:
         sync_s: float = 1.0,
         true: npt.NDArray[np.float32] | None = None,
         sensor: npt.NDArray[np.float32] | None = None,
+        label: str = "golf-ball",
     ) -> Truth:
         real = self.grid() if true is None else true
         return make.truth(
@@ -80,20 +81,31 @@ class Messages:
             sampled_mono_ns=round(sync_s * SECOND_NS),
             true=real.tobytes(),
             sensor=(real if sensor is None else sensor).tobytes(),
-            label="golf-ball",
+            label=label,
         )
 
-    def contacts(self, cycle: int = 1, *, blind: bool = False, doubtful: bool = False, **changed: Any) -> Contacts:
+    def contacts(
+        self, cycle: int = 1, *, sync_s: float = 1.0, blind: bool = False, doubtful: bool = False, **changed: Any
+    ) -> Contacts:
         force_n = float(self.grid().sum())
         contact = make.contact(**{
             "identity": 7, "row": 7.5, "column": 6.0, "force_n": force_n, "peak_n": 0.01, "taxels": 113,
             "top": 2, "bottom": 13, "left": 0, "right": 11, "onset_mono_ns": 0, "invalid_taxels": 4,
             "doubtful_since_mono_ns": int(doubtful), **changed,
         })  # fmt: skip
-        return make.contacts(cycle, contact, find_s=1e-4, blind=blind)
+        return make.contacts(cycle, contact, sampled_mono_ns=round(sync_s * SECOND_NS), find_s=1e-4, blind=blind)
 
-    def label(self, label: str = "golf-ball", confidence: float = 0.93, valid_sums: int = 64) -> Label:
-        return make.label(1, label, confidence=confidence, valid_sums=valid_sums)
+    def label(
+        self,
+        label: str = "golf-ball",
+        confidence: float = 0.93,
+        valid_sums: int = 64,
+        *,
+        cycle: int = 1,
+        sync_s: float = 1.0,
+    ) -> Label:
+        sampled_mono_ns = round(sync_s * SECOND_NS)
+        return make.label(cycle, label, sampled_mono_ns=sampled_mono_ns, confidence=confidence, valid_sums=valid_sums)
 
     def gateway(
         self,

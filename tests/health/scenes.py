@@ -298,7 +298,7 @@ def gains(world: Watched) -> End:
 
 
 def emergency(world: Watched) -> End:
-    world.wires[0].put(EMCY_BASE + 1, bytes((0x10, 0xFF, 0x81, 0, 0, 0, 0, 0)))
+    world.wires[0].put(EMCY_BASE + 1, bytes((0x20, 0x81, 0x11, 0, 0, 0, 0, 0)))
     return lambda: world.wires[0].put(EMCY_BASE + 1, bytes(8))
 
 
@@ -414,7 +414,7 @@ SCENES: Final = (
     Scene("a frame with sums is lost in ten", one_of_ten, ("node-loses",)),
     Scene("frames come twice", suffering(Odds(controller="nodes:*", duplicate_ratio=0.2))),
     Scene("frames of a node come in another order", waiting(0.02, 0x181, 0x7FF)),
-    Scene("frames of a node are late by two cycles", waiting(0.11, 1), ("node-loses", "node-emergency")),
+    Scene("frames of a node are late by two cycles", waiting(0.11, 1), ("node-loses",)),
     Scene("bit errors on the bus", suffering(Odds(bit_error_rate=2e-4))),
     Scene("nodes miss SYNC", misses_sync(), ("node-loses",)),
     Scene("a node sends frames of other lengths and kinds", doing(is_malformed)),
@@ -422,7 +422,7 @@ SCENES: Final = (
     Scene("an identifier fills the bus: 1", flooding(1, 2 * FLOOD), ("bus-full", *SILENT), tables=SLOW),
     Scene("an identifier fills the bus: 7FFh", flooding(0x7FF), ("bus-full",), tables=SLOW),
     Scene("a node floods the bus with its sums", doing(babbles), (
-        "bus-full", "node-twice", "node-emergency", "node-silent"
+        "bus-full", "node-twice", *SILENT
     ), tables=SLOW),
     Scene("a node dies, and boots", dies, (*SILENT, "node-booted")),
     Scene("a node boots again", once(reboots), ("node-booted",), 0.0),

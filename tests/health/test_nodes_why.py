@@ -20,8 +20,9 @@ def troubles(state: ViewState, now_s: float, bus: int = 0) -> list[tuple[int, fl
     return [msgspec.structs.astuple(each)[:3] for each in gateway.buses[bus].nodes_why]
 
 
-def losing(status: GatewayStatus, missing: list[int]) -> GatewayStatus:
-    buses = [msgspec.structs.replace(status.buses[0], missing=missing), *status.buses[1:]]
+def losing(status: GatewayStatus, missing: list[int], emcy: int = 0) -> GatewayStatus:
+    left = msgspec.structs.replace(status.buses[0], missing=missing, emcy=[0, emcy, 0, 0])
+    buses = [left, *status.buses[1:]]
     return msgspec.structs.replace(status, buses=buses)
 
 
@@ -51,6 +52,13 @@ def test_a_node_loses_frames_until_none_is_missing_for_a_while(state: ViewState,
         assert troubles(state, at_s) == expected
     state.take(losing(messages.gateway(), [0, 9, 0, 0]), 2.4 + LOSS_S)
     assert troubles(state, 2.4 + LOSS_S) == []
+
+
+def test_a_window_that_was_missed_explains_a_loss_and_is_none(state: ViewState, messages: Messages) -> None:
+    for at_s, missing in ((1.0, 0), (1.2, 1), (1.2 + LOSS_S, 1)):
+        state.take(losing(messages.gateway(), [0, missing, 0, 0], emcy=0xFF10), at_s)
+        whys = [why for _, _, why in troubles(state, at_s)]
+        assert whys == (["frames with sums are missing, EMCY FF10h"] if at_s == 1.2 else [])
 
 
 def changed_bus(status: GatewayStatus, **changed: object) -> GatewayStatus:

@@ -75,7 +75,8 @@ def test_a_denial_is_told_once_with_who_and_what(tmp_path: Path) -> None:
     authority.list.revoked.append("palm:client:lost")
     authority.write_list()
     with Processes(tmp_path) as started:
-        started.skin("hub", "hub", "--listen", endpoint, "--keys", str(folder / "hub"))
+        everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - with keys
+        started.skin("hub", "hub", "--listen", everywhere, "--keys", str(folder / "hub"))
         session = open_client(endpoint, "test", None, PATIENCE_S, keys=Keys(folder / "client"))
         kept = [
             session.declare_subscriber("canskin/**", lambda _: None),
@@ -97,6 +98,7 @@ def test_a_denial_is_told_once_with_who_and_what(tmp_path: Path) -> None:
         session.close()
         assert started.stop("hub") == 0
     said = started.log("hub").read_text()
+    assert f"listens on {everywhere}: give {endpoint.replace('127.0.0.1', 'HOST')} to" in said
     lines = [line.removeprefix("hub: ") for line in said.splitlines() if " may " in line]
     assert sorted(lines) == sorted(
         [

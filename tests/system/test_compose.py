@@ -101,7 +101,8 @@ def test_the_lock_names_one_version_of_every_package_that_the_image_needs() -> N
     assert all(re.fullmatch(r"[a-z0-9-]+==[^ ]+( ; .+)?", line) for line in lines)
     locked = {line.split("==")[0] for line in lines}
     for project in (ROOT / "pyproject.toml", ROOT / "client" / "pyproject.toml"):
-        for needed in tomllib.loads(project.read_text())["project"]["dependencies"]:
+        about = tomllib.loads(project.read_text())["project"]
+        for needed in about["dependencies"] + about.get("optional-dependencies", {}).get("metrics", []):
             name = re.split(r"[<>=]", needed)[0].lower()
             assert name in {*locked, "canskin-client"}, needed
 

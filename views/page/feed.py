@@ -3,22 +3,19 @@
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections import deque
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
-from canskin.fabric import Fabric, Unread
+from canskin.fabric import Fabric
 from canskin.peers import Peer
+from health.backlog import Backlog
 from health.snapshot import Pictures, Snapshot
 from health.state import TOPICS, ViewState
 from skin.layout import Layout
 from views.page.history import History
 from views.page.record_process import RecorderProcess
 from views.page.wire import frame
-
-#: While nobody looks, messages are decoded together after this time: one by one they take several times as long.
-UNREAD_S: Final = 0.5
 
 
 class Shown(ABC):
@@ -80,16 +77,14 @@ class Feed(Shown):
 
     def __init__(self, layout: Layout) -> None:
         super().__init__(layout, time.time() - time.monotonic())
-        #: Messages that have come, and when.
-        self._unread: deque[tuple[Unread, float]] = deque()
+        self._backlog = Backlog(self._take, self._lock)
         self._fabric: Fabric | None = None
         self.recorder: RecorderProcess | None = None
 
     def join(self, fabric: Fabric) -> None:
         """Subscribe to all topics that the page shows."""
         self._fabric = fabric
-        for topic in TOPICS:
-            fabric.subscribe_unread(topic, self._note)
+        self._backlog.join(fabric, TOPICS)
         fabric.watch_peers(self._changed)
 
     def running(self, service: str) -> set[str]:
@@ -97,20 +92,8 @@ class Feed(Shown):
         with self._lock:
             return self._state.running(service)
 
-    def _note(self, unread: Unread) -> None:
-        now_s = time.monotonic()
-        with self._lock:
-            self._unread.append((unread, now_s))
-            if now_s > self._unread[0][1] + UNREAD_S:
-                self._read()
-
     def _read(self) -> float:
-        while self._unread:
-            unread, at_s = self._unread.popleft()
-            message = unread()
-            if message is not None:
-                self._take(message, at_s)
-        return time.monotonic()
+        return self._backlog.read()
 
     def _snapshot(self, now_s: float, *, is_single: bool = False) -> tuple[Snapshot, Pictures]:
         malformed = self._fabric.malformed if self._fabric else 0

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from health.state import Moment
+from health.snapshot import Moment
 
 PERIOD_S: Final = 0.1
 SPAN_S: Final = 300.0

@@ -33,7 +33,7 @@ class Chain:
         self.invalid: tuple[int, ...] = ()
         self.gateway: dict[str, Any] = {}
         self.label: dict[str, Any] = {}
-        self.force_n = 0.01
+        self.force_n, self.varies = 0.01, False
         self.fingerprint = messages.layout.phi().fingerprint
         self._messages, self._hub = messages, hub
         self.reconstructor = Fabric(messages.layout.name, "reconstructor", endpoint, fingerprint=self.fingerprint)
@@ -41,19 +41,23 @@ class Chain:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
+    def force_of(self, cycle: int) -> float:
+        """Return the peak of a cycle's forces, newtons."""
+        return self.force_n * (1 + cycle % 100 / 100 * self.varies)
+
     def _run(self) -> None:
         for cycle in itertools.count(1):
-            sync_s = time.monotonic()
+            sync_s, pixels = time.monotonic(), self._messages.grid(self.force_of(cycle))
+            of_cycle = {"cycle": cycle, "sync_s": sync_s}
+            name = {"label": f"object-{cycle}"} if self.varies else {}
             if self.truths:
-                truth = self._messages.truth(cycle, sync_s=sync_s, true=self._messages.grid(self.force_n))
-                self._hub.publish(TRUTH, truth)
+                self._hub.publish(TRUTH, self._messages.truth(true=pixels, **name, **of_cycle))
             if self.images:
-                pixels = self._messages.grid(self.force_n)
-                image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid, pixels=pixels)
-                self._hub.publish(IMAGE, image)
+                self._hub.publish(IMAGE, self._messages.image(invalid=self.invalid, pixels=pixels, **of_cycle))
             if self.contacts:
-                self._hub.publish(CONTACTS, self._messages.contacts(cycle, doubtful=self.doubtful))
-            self._hub.publish(LABEL, self._messages.label(**self.label))
+                total = {"force_n": float(pixels.sum())} if self.varies else {}
+                self._hub.publish(CONTACTS, self._messages.contacts(doubtful=self.doubtful, **total, **of_cycle))
+            self._hub.publish(LABEL, self._messages.label(**self.label, **name, **of_cycle))
             self._hub.publish(GATEWAY, self._messages.gateway(cycles=cycle, **self.gateway))
             if self._stop.wait(0.02):
                 return

@@ -9,7 +9,8 @@ import pytest
 from canskin.connection import RECORDER
 from canskin.messages import Mark
 from canskin.peers import new_peer
-from health.state import Moment, ViewState
+from health.snapshot import Moment
+from health.state import ViewState
 from views.page.history import FRAMES_BYTES, PERIOD_S, SPAN_S, History
 
 NOTHING = Moment(None, None, None, None, None, None, None)
@@ -31,8 +32,8 @@ def test_moments_tell_what_was_measured_and_null_in_a_gap(state: ViewState, mess
         history.look(at_s)
         missing = 3 if at_s >= 2.5 else 0
         state.take(messages.image(number, sync_s=at_s, latency_s=0.004), at_s)
-        state.take(messages.contacts(number), at_s)
-        state.take(messages.label(), at_s)
+        state.take(messages.contacts(number, sync_s=at_s), at_s)
+        state.take(messages.label(cycle=number, sync_s=at_s), at_s)
         state.take(messages.gateway(missing=missing), at_s)
     history.look(6.0)
     told = history.since(2.05)

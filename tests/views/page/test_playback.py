@@ -32,8 +32,8 @@ def recorded(messages: Any, path: Path, *, closes: bool = True) -> Path:
         at_s, pixels = cycle / 100, messages.grid(0.01 * cycle / CYCLES)
         write(TRUTH, at_s, messages.truth(cycle + 1, sync_s=at_s + 5, true=pixels))
         write(IMAGE, at_s, messages.image(cycle + 1, sync_s=at_s + 5, pixels=pixels))
-        write(CONTACTS, at_s, messages.contacts(cycle + 1))
-        write(LABEL, at_s, messages.label())
+        write(CONTACTS, at_s, messages.contacts(cycle + 1, sync_s=at_s + 5))
+        write(LABEL, at_s, messages.label(cycle=cycle + 1, sync_s=at_s + 5))
         if cycle % 20 == 0:
             write(GATEWAY, at_s, messages.gateway(cycles=cycle + 1))
         if cycle == 250:
@@ -76,7 +76,8 @@ def test_it_is_played_as_it_was_recorded(player: Player, messages: Any) -> None:
     assert snapshot.playback.path.endswith("run.mcap")
     assert snapshot.playback.position_s == pytest.approx(2.005)
     assert snapshot.time_s == pytest.approx(FIRST_S + 2.005)
-    assert (snapshot.image.cycle, snapshot.truth.step) == (201, 201)
+    shown = snapshot.image, snapshot.contacts, snapshot.label
+    assert [each.cycle for each in shown] == [snapshot.truth.step] * 3 == [201] * 3
     assert not snapshot.image.stale
     np.testing.assert_array_equal(pictures.image, messages.grid(0.01 * 200 / CYCLES))
     assert snapshot.figures.images_hz == pytest.approx(100)

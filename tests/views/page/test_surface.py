@@ -41,13 +41,13 @@ class SurfaceMessages(Messages):
     def surface(self) -> Any:
         return self.layout.taxels.surface
 
-    def contacts(self, cycle: int = 1, *, doubtful: bool = False, **_: Any) -> Contacts:
+    def contacts(self, cycle: int = 1, *, sync_s: float = 1.0, doubtful: bool = False, **_: Any) -> Contacts:
         place, normal = self.surface.positions_m[TOUCHED].tolist(), self.surface.normals[TOUCHED].tolist()
         contact = make.contact(
             identity=7, row=0.0, column=float(TOUCHED), taxels=9, position_m=place, normal=normal,
             doubtful_since_mono_ns=int(doubtful),
         )  # fmt: skip
-        return make.contacts(cycle, contact)
+        return make.contacts(cycle, contact, sampled_mono_ns=round(sync_s * 1e9))
 
 
 #: In the middle of the curved skin.
@@ -63,7 +63,7 @@ def messages(request: pytest.FixtureRequest) -> SurfaceMessages:
 def page(browser: Browser, server: Server, chain: Chain, messages: SurfaceMessages) -> Iterator[Browser]:
     chain.contacts = False
     browser.complaints.clear()
-    browser.open(server.address)
+    browser.open(server.address, height=900)  # a taxel seen from its side has a pixel in the small images, too
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
     browser.until(lambda: browser.ask("!document.querySelector('#map-true').hidden"), "no truth was shown")
     browser.until(lambda: bool(colours(browser, messages)[:, 3].all()), "no image was drawn")

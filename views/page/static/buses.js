@@ -2,14 +2,14 @@
 
 import { clock, count, make, percent, span, write } from "./words.js";
 
-// Counter, its name on the page, and whether a value above 0 is bad. Most other frames are heartbeats.
+// Counter and its name on the page. Most other frames are heartbeats.
 const COUNTERS = [
-  ["accepted", "in time", false],
-  ["missing", "missing", true],
-  ["late", "late", true],
-  ["duplicate", "duplicate", true],
-  ["malformed", "malformed", true],
-  ["foreign", "other frames", false],
+  ["accepted", "in time"],
+  ["missing", "missing"],
+  ["late", "late"],
+  ["duplicate", "duplicate"],
+  ["malformed", "malformed"],
+  ["foreign", "other frames"],
 ];
 
 const CARD_PX = 250;
@@ -53,7 +53,7 @@ export class Buses {
     this.cards = new Map();
     const root = document.getElementById("buses");
     root.replaceChildren(...skin.buses.map((bus) => this.card(bus, pointed)));
-    this.counters = document.querySelector("#frames dl");
+    [this.since, this.counters] = document.querySelectorAll("#frames h2, #frames dl");
     new ResizeObserver(() => root.style.setProperty("--across", across(skin.buses.length, root.clientWidth))).observe(root);
   }
 
@@ -152,18 +152,12 @@ export class Buses {
   }
 
   drawCounters(gateway) {
-    const rows = [["cycles complete", gateway.cycles ? percent(gateway.cycles_complete / gateway.cycles, 2) : "–", false]];
-    for (const [key, name, isBad] of COUNTERS) {
-      const value = gateway.frames[key];
-      rows.push([name, count(value), isBad && value > 0]);
-    }
-    if (gateway.zero) rows.push(["zero of blocks", gateway.zero, false]);
+    const { cycles, cycles_complete: complete, sync_rate_hz: rate_hz, frames, zero } = gateway;
+    write(this.since, `Frames of the ${rate_hz ? `${span(cycles / rate_hz)} ` : ""}since the gateway started SYNC`);
+    const rows = [["cycles complete", cycles ? percent(complete / cycles, 2) : "–"], ...COUNTERS.map(([key, name]) => [name, count(frames[key])])];
+    if (zero) rows.push(["zero of blocks", zero]);
     if (this.counters.childElementCount !== rows.length) this.counters.replaceChildren(...rows.map(([name]) => counter(name)));
-    rows.forEach(([, value, isBad], place) => {
-      const cell = this.counters.children[place].lastChild;
-      write(cell, value);
-      cell.classList.toggle("bad", isBad);
-    });
+    rows.forEach(([, value], place) => write(this.counters.children[place].lastChild, value));
   }
 
   /** Mark the tile of `block`, or none. */

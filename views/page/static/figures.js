@@ -11,7 +11,7 @@ function comparison({ figures, truth }, stale) {
   if (!truth && image === null) return "no truth of this cycle";
   if (image === null) return stale ? "no image in the last second" : "no contact in the last second";
   if (!isNoisy) return "against a truth without noise";
-  return `raw sample ${fixed(sensor, 1)} dB · ${image < sensor ? "−" : "+"}${Math.abs(image - sensor).toFixed(1)} dB`;
+  return `raw ${fixed(sensor, 1)} dB · ${image < sensor ? "−" : "+"}${Math.abs(image - sensor).toFixed(1)} dB`;
 }
 
 /** Text of the SYNC rate and of the buses that SYNC reaches. */
@@ -81,7 +81,7 @@ export class Figures {
 
     const low = stale ? null : figures.valid_blocks_low;
     const missing = low !== null && low < figures.blocks;
-    const fewest = low === null ? "" : missing ? `${figures.blocks - low} missing within 1 s` : "none missing";
+    const fewest = low === null ? "" : missing ? `${figures.blocks - low} missing within 1 s` : "none missing within 1 s";
     this.set("blocks", image, `${stale ? "–" : figures.valid_blocks} / ${figures.blocks}`, fewest, { stale, alert: missing });
   }
 

@@ -20,12 +20,12 @@ const PHONE_PX = 700;
 // the height of a window of one column.
 const BROAD_PX = 1700;
 const SIDE_PX = { broad: 560, wide: 400 };
-const AROUND_PX = { broad: 206, wide: 456 };
+const AROUND_PX = { broad: 206, wide: 473 };
 const HIGH_RATIO = 0.75;
-const SMALLEST_IMAGE_PX = 384;
+const SMALLEST_IMAGE_PX = 320;
 
 /** Bound of the error of the sampling instant, where one is proven. */
-const bound = (error_ns) => (error_ns < 0 ? "" : `, sampled within ${(error_ns / 1000).toFixed(0)} µs`);
+const bound = (error_ns) => (error_ns < 0 ? "" : `, sampled ± ${(error_ns / 1000).toFixed(0)} µs`);
 
 export class Images {
   /** `redraw()` is called when the skin was turned. */
@@ -101,9 +101,9 @@ export class Images {
     const { image: rebuilt, true: real, sensor } = this.maps;
     write(rebuilt.caption, image ? `cycle ${image.cycle}${bound(image.sampled_error_ns)}` : "");
     rebuilt.setStale(veil || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
-    const object = truth?.label ? spoken(truth.label) : "no object named";
+    const object = truth?.label ? spoken(truth.label) : "none named";
     write(real.caption, truth ? object : "");
-    write(sensor.caption, !truth || figures.sensor_adds_noise === null ? "" : figures.sensor_adds_noise ? "one raw sample" : "in ADC steps");
+    write(sensor.caption, !truth || figures.sensor_adds_noise === null ? "" : figures.sensor_adds_noise ? "raw" : "in ADC steps");
     for (const map of [real, sensor]) {
       map.setStale(veil || (truth?.stale ? old(truth.age_s) : ""));
       if (!veil && !truth) map.setNone("none of this cycle");

@@ -14,8 +14,6 @@ import { clockTenths, write } from "./words.js";
 
 // Frames come 25 times a second. Without frames for this long, the page is stale.
 const LOST_MS = 1000;
-// Images change with every frame, figures and tables less often: nobody reads faster, and layout is dear.
-const READABLE_MS = 180;
 // A true image is missing in a frame or two when it comes late; its place stays for this time.
 const TRUTH_S = 3;
 
@@ -24,8 +22,6 @@ let parts = null; // what draws the skin
 let frame = null; // the newest
 let isDue = false;
 let lastFrameTime = Date.now();
-let readAt = -Infinity; // performance.now() when figures were last written
-let readFrame = null; // the frame that they were of
 let truthAt_s = -Infinity; // time of the newest frame with a true image
 
 const answer = new Answer();
@@ -53,7 +49,7 @@ function setSkin(greeting) {
   if (JSON.stringify(greeting) === JSON.stringify(skin)) return;
   skin = greeting;
   frame = null;
-  readAt = truthAt_s = -Infinity;
+  truthAt_s = -Infinity;
   history.clear();
   timeline.past = null;
   const buses = new Buses(greeting, (block) => parts.images.pointBlock(block));
@@ -96,13 +92,8 @@ function draw() {
   const shown = past?.frame ?? frame;
   if (shown.snapshot.truth) truthAt_s = shown.snapshot.time_s;
   const hasTruth = Math.abs(shown.snapshot.time_s - truthAt_s) < TRUTH_S;
-  const isRead = performance.now() - readAt < READABLE_MS && !(past && shown !== readFrame);
-  if (!isRead) {
-    readAt = performance.now();
-    readFrame = shown;
-    if (!isLost) drawNews(snapshot);
-    if (past || !isLost) drawInstant(shown.snapshot, hasTruth);
-  }
+  if (!isLost) drawNews(snapshot);
+  if (past || !isLost) drawInstant(shown.snapshot, hasTruth);
   const veil = past?.isMissing ? "no picture of this instant" : isLost && !past ? "stale: connection lost" : "";
   parts.images.draw(shown, hasTruth, veil, past ? `the past: ${clockTenths(timeline.shown_s)}` : "");
 }
@@ -118,6 +109,7 @@ function drawNews(snapshot) {
 
 /** Draw what belongs to one instant. */
 function drawInstant(snapshot, hasTruth) {
+  timeline.drawValues(snapshot);
   parts.figures.draw(snapshot, hasTruth);
   parts.contacts.draw(snapshot);
   parts.regions.draw(snapshot);

@@ -145,8 +145,8 @@ export class Timeline {
     const { playback } = snapshot;
     if (playback) this.origin_s = snapshot.time_s - playback.position_s;
     // Until it is there, the place where the user is going is shown.
-    if (playback && this.isBringing) playback.position_s = this.playback.position_s;
-    this.playback = playback;
+    const { position_s } = (this.isBringing && this.playback) || playback || {};
+    this.playback = playback && { ...playback, position_s };
     this.drawState();
   }
 
@@ -164,7 +164,6 @@ export class Timeline {
     this.scrub.ariaValueMax = String(Math.round(to_s - from_s));
     this.scrub.ariaValueNow = String(Math.round(share * (to_s - from_s)));
     this.scrub.ariaValueText = this.words();
-    this.drawValues();
   }
 
   /** The instant shown, in words. */
@@ -172,12 +171,11 @@ export class Timeline {
     const { past, playback } = this;
     if (playback) {
       const where = `${stopwatch(playback.position_s, 1)} of ${stopwatch(playback.duration_s, 1)}`;
-      return `${where} · recorded ${new Date(1000 * this.time_s).toLocaleDateString("en-GB")}, ${clockTenths(this.time_s)}`;
+      return `${where} · ${new Date(1000 * this.time_s).toLocaleDateString("en-GB")}, ${clockTenths(this.time_s)}`;
     }
     if (this.now_s === undefined) return "";
     if (!past) return `now · ${clock(this.now_s)}`;
-    const shown_s = this.shown_s;
-    return `the past: ${clockTenths(shown_s)}, ${span(this.now_s - shown_s)} ago${past.isMissing ? " · no picture of this instant" : ""}`;
+    return `${clockTenths(this.shown_s)}, ${span(this.now_s - this.shown_s)} ago`;
   }
 
   /** Time of the frame shown, which is the nearest that is kept. */
@@ -186,9 +184,10 @@ export class Timeline {
     return frame && !isMissing ? frame.snapshot.time_s : time_s;
   }
 
-  drawValues() {
-    const moment = this.time_s === null ? null : this.history.at(this.time_s);
-    for (const { key, words, value } of this.rows ?? []) write(value, moment && isKnown(moment[key]) ? words(moment[key]) : "");
+  /** Write the values of the instant of a snapshot; frames lost are those of the last tenth of a second. */
+  drawValues({ time_s, moment }) {
+    const values = { lost: this.history.at(time_s)?.lost, ...moment };
+    for (const { key, words, value } of this.rows ?? []) write(value, isKnown(values[key]) ? words(values[key]) : "");
   }
 
   /** Draw the curves anew: moments have come, or the place has another size or other colours. */

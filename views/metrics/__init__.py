@@ -1,0 +1,1 @@
+"""The figures of all skins of a hub for Prometheus."""

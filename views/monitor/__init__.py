@@ -1,0 +1,1 @@
+"""A running skin in a terminal."""
