@@ -115,6 +115,7 @@ def test_counters_of_a_service_go_on_over_its_starts(figures: SkinFigures) -> No
     assert values(figures, "messages_missed_total", 1.0) == {("reconstructor",): 6}
     assert values(figures, "service_memory_bytes", 1.0) == {("reconstructor",): 2 << 20}
     assert values(figures, "service_memory_bytes", 1.0 + TOLD_S) == {}
+    figures.take(status(7.5), 2.0)
     figures.take(status(float("nan")), 2.0)
     figures.take(status(float("inf")), 2.0)
     assert values(figures, "service_processor_seconds_total", 2.0) == {("reconstructor",): 10.0}
