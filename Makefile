@@ -56,6 +56,7 @@ figures: setup
 
 docs: setup
 	@$(BIN)/python -m docs.reference
+	@$(BIN)/python -m docs.faults
 	@$(BIN)/python -m docs.layout_keys
 	@$(BIN)/python -m docs.site_pages build/site
 	@$(BIN)/zensical build --strict --config-file build/site/mkdocs.yml

@@ -97,7 +97,7 @@ class Gathering(NamedTuple):
         See their classes.
     counts : array of int64, shape (6,)
         By `ACCEPTED` to `FOREIGN`, see `FrameCounts`.
-    late_of_node, missing_of_node : arrays of int64, shape (nodes,)
+    late_of_node, missing_of_node, twice_of_node : arrays of int64, shape (nodes,)
     heard : array of bool, shape (nodes,)
         Nodes that sent a TPDO.
     raw : array of int32, shape (m,)
@@ -110,6 +110,7 @@ class Gathering(NamedTuple):
     counts: Integers
     late_of_node: Integers
     missing_of_node: Integers
+    twice_of_node: Integers
     heard: Flags
     raw: npt.NDArray[np.int32]
 
@@ -189,10 +190,12 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
         slot = slot_of(counter)
         answers.silent[row] = 0
         state.cycles.spoilt[slot, row] |= answers.doubtful[row] > 0
-        if not state.cycles.spoilt[slot, row]:
+        was_spoilt = state.cycles.spoilt[slot, row]
+        if not was_spoilt:
             note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)
         if not keep_frame(slot, bus, row, data, state.cycles):
             kind = DUPLICATE
+            state.twice_of_node[node] += state.cycles.spoilt[slot, row] and not was_spoilt
         elif not answers.doubtful[row]:
             kind = ACCEPTED
     state.counts[kind] += 1
@@ -254,8 +257,9 @@ class Collector:
 
     Attributes
     ----------
-    late_of_node, missing_of_node : arrays of int64, shape (nodes,)
-        `counts.late` and `counts.missing` of each node, in the order of the contract.
+    late_of_node, missing_of_node, twice_of_node : arrays of int64, shape (nodes,)
+        `counts.late` and `counts.missing` of each node, and frames that came twice with other sums, in the order of
+        the contract.
     heard : array of bool, shape (nodes,)
         Nodes that sent a TPDO since the array was last cleared.
     expected : array of bool, shape (nodes,)
@@ -279,7 +283,7 @@ class Collector:
         """Forget all frames."""
         contract, rows = self._contract, len(self._table.bus)
         self._times = SyncTimes(contract, self._early_echoes)
-        self.late_of_node, self.missing_of_node = np.zeros((2, len(contract.nodes)), np.int64)
+        self.late_of_node, self.missing_of_node, self.twice_of_node = np.zeros((3, len(contract.nodes)), np.int64)
         self.heard = np.zeros(len(contract.nodes), np.bool_)
         came, silent, doubtful = np.zeros((3, rows), np.int64)
         turn = self._table.turn.astype(np.int64)
@@ -290,6 +294,7 @@ class Collector:
             counts=np.zeros(6, np.int64),
             late_of_node=self.late_of_node,
             missing_of_node=self.missing_of_node,
+            twice_of_node=self.twice_of_node,
             heard=self.heard,
             raw=np.zeros(self._phi.shape[0], np.int32),
         )

@@ -144,9 +144,14 @@ class CycleGathering:
         self.collector.heard[:] = False
         return []
 
-    def missing_and_late(self, place: int) -> tuple[int, int]:
-        """Return how many frames of the node at `place` did not come in their cycle, and came too late."""
-        return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
+    def frames_of(self, place: int) -> tuple[int, int, int]:
+        """Return how many frames of the node at `place` were missing, late, and twice with other sums."""
+        collector = self.collector
+        return (
+            int(collector.missing_of_node[place]),
+            int(collector.late_of_node[place]),
+            int(collector.twice_of_node[place]),
+        )
 
     def _closes_s(self, sync: Sync) -> float:
         return sync.due_s + (1 + GRACE) * self._period_s

@@ -31,7 +31,7 @@ class LinkWatch:
     Attributes
     ----------
     state : State
-        The worst between the last two reports.
+        The worst between the last two reports; that of the fault for as long as `trouble` tells the fault.
     trouble : str
         The fault of now, in words that follow the name of the bus; empty without.
     """
@@ -77,6 +77,8 @@ class LinkWatch:
             explain()  # some controllers report no better state: it is read
             if is_over:
                 self._end()
+            elif self._fault in _FAULTS:
+                self.state = self._fault
 
     def _go_on(self, fault: State, why: str, now_s: float) -> None:
         words = f"{_FAULTS[fault]}{': ' * bool(why)}{why}" if fault in _FAULTS else f"{_REFUSED}: {why or _LATE}"

@@ -1,11 +1,16 @@
 """Load of a bus: time of its frames (exact stuffing) / time that passed."""
 
+from typing import Final
+
 import numpy as np
 import numpy.typing as npt
 
 from dbc.frame import ERROR, FRAME, frames
 from dbc.frame_bits import frame_time_ns
 from skin.layout import Bus
+
+#: A load of less time says nothing: the sums of one SYNC come together.
+LEAST_S: Final = 0.1
 
 
 class LoadMeter:
@@ -47,7 +52,9 @@ class LoadMeter:
         self._since_s = self._start_s = now_s
 
     def take_ratio(self, now_s: float) -> float:
-        """Return the load since the last call, and begin anew."""
+        """Return the load since the last call, and begin anew; 0 if that is less than `LEAST_S` ago."""
+        if now_s - self._since_s < LEAST_S:
+            return 0.0
         self.account()
         load_ratio = _ratio(self._busy_ns, now_s - self._since_s)
         self._busy_ns, self._since_s = 0, now_s

@@ -314,7 +314,7 @@ class GatewayLoop:
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]
         nodes, wall_s = bus.master.nodes.values(), time.time() - now_s
-        missing, late = zip(*(self.gathering.missing_and_late(place) for place in bus.places), strict=True)
+        missing, late, twice = zip(*(self.gathering.frames_of(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
             load_ratio=bus.load.take_ratio(now_s),
@@ -323,6 +323,7 @@ class GatewayLoop:
             nmt=bus.master.nmt.tobytes(),
             missing=list(missing),
             late=list(late),
+            twice=list(twice),
             emcy=bus.master.emcy,
             refused=bus.master.refused,
             link=max(state, bus.watch.state).name.lower(),

@@ -278,7 +278,7 @@ class NodeMachine:
             if (asking := self.dialogue or self.errand) is not None:
                 asking.ask_again(data, now_s)
             return False
-        if (asking := self.dialogue or self.errand) is not None:
+        if (asking := self.dialogue or self.errand) is not None and self.in_use:  # else a request may have waited
             self.answer_s.add(now_s - asking.requested_s, now_s)
         if self.dialogue is not None:
             self.dialogue.take(data, now_s)

@@ -66,6 +66,7 @@ class Cause(Enum):
         "another device has the board's node-ID",
         "'skin scan' names it",
     )
+    NODE_TWICE = (WARNING, "two boards have one node-ID", "unplug one: 'skin commission' gives it another")
     NODE_REFUSED = (
         WARNING,
         "a board's configuration is refused",

@@ -56,7 +56,7 @@ class Trouble(NamedTuple):
         return NodeTrouble(node, since_time_s, self.evidence or self.word, self.cause.code, self.word)
 
 
-def _trouble(status: GatewayStatus, bus: BusState, place: int, *, loses: bool) -> Trouble | None:
+def _trouble(status: GatewayStatus, bus: BusState, place: int, *, twice: bool, loses: bool) -> Trouble | None:
     """Return what is wrong with the node at a place of a bus, the gravest alone; None if all is well."""
     if bus.link in DEAD_LINKS:
         return Trouble(_LINKS[bus.link], "its bus is down")
@@ -65,6 +65,8 @@ def _trouble(status: GatewayStatus, bus: BusState, place: int, *, loses: bool) -
     emergency = f"EMCY {code:04X}h" if code else ""
     if (fault := _fault(bus, node, nmt)) is not None:
         return trouble_of(fault, nmt, emergency)
+    if twice:
+        return Trouble(Cause.NODE_TWICE, "there twice: each sum comes twice, and differs")
     if 0 < code < DEVICE_EMCY:
         return Trouble(Cause.NODE_EMERGENCY, emergency)
     if late := _late(status, bus, place):
@@ -116,20 +118,24 @@ class Troubles:
 
     def __init__(self) -> None:
         self._troubles: dict[str, dict[int, tuple[Trouble, float]]] = {}
-        #: Of each bus and node: frames missing so far, and when the last of them was.
-        self._missing: dict[tuple[str, int], tuple[int, float]] = {}
+        #: By what is counted, of whom: the count so far, and when it last grew.
+        self._counted: dict[tuple[str, ...], tuple[int, float]] = {}
         self._late: tuple[str, float] | None = None
 
     def take(self, status: GatewayStatus, now_s: float) -> None:
         """Take the next counters."""
         before, self._troubles = self._troubles, defaultdict(dict)
-        missed, self._missing = self._missing, {}
+        counted, self._counted = self._counted, {}
         for bus in status.buses:
             known = before.get(bus.name, {})
-            missing = dict(zip(bus.nodes, bus.missing, strict=False))
             for place, node in enumerate(bus.nodes):
-                loses = self._loses(missed, (bus.name, node), missing.get(node, 0), now_s)
-                trouble = _trouble(status, bus, place, loses=loses)
+                twice, loses = (
+                    self._grows(counted, (name, bus.name, str(node)), counts[place] if counts else 0, now_s)
+                    for name, counts in (("twice", bus.twice), ("missing", bus.missing))
+                )
+                trouble = _trouble(status, bus, place, twice=twice, loses=loses)
+                if trouble is not None and trouble.cause is not Cause.NODE_LOSES:  # frames are missing because of that
+                    del self._counted["missing", bus.name, str(node)]
                 if trouble is not None:
                     old, since_s = known.get(node, (trouble, now_s))
                     self._troubles[bus.name][node] = trouble, since_s if old[:2] == trouble[:2] else now_s
@@ -140,7 +146,7 @@ class Troubles:
                 ("SYNCs not sent", status.syncs_skipped),
                 ("frames lost in its receive buffers", sum(bus.overrun for bus in status.buses)),
             )
-            if self._loses(missed, (name, 0), count, now_s)
+            if self._grows(counted, (name,), count, now_s)
         )
         self._late = (words, self._late[1] if self._late else now_s) if words else None
 
@@ -155,11 +161,11 @@ class Troubles:
             for bus, nodes in self._troubles.items()
         }
 
-    def _loses(
-        self, missed: Mapping[tuple[str, int], tuple[int, float]], key: tuple[str, int], missing: int, now_s: float
+    def _grows(
+        self, counted: Mapping[tuple[str, ...], tuple[int, float]], key: tuple[str, ...], count: int, now_s: float
     ) -> bool:
-        before, last_s = missed.get(key, (missing, -LOSS_S))
-        if missing > before:
+        before, last_s = counted.get(key, (count, -LOSS_S))
+        if count > before:
             last_s = now_s
-        self._missing[key] = missing, last_s
+        self._counted[key] = count, last_s
         return now_s - last_s < LOSS_S

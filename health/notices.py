@@ -20,6 +20,8 @@ FULL_RATIO: Final = 0.97
 #: So many nodes at an end of a bus that fall silent within this time are a broken cable.
 BROKEN_AT_LEAST: Final = 2
 TOGETHER_S: Final = 2.0
+#: A gateway that has sent no counters for this time, two in place of one, sends no measurements.
+MISSED_S: Final = 0.4
 
 
 def display_name(service: str) -> str:
@@ -99,6 +101,8 @@ def _why(state: Snapshot, token: Service | None) -> tuple[Cause, str]:
     gateway = state.services.get("gateway")
     if gateway is None or not gateway.alive:
         return Cause.GATEWAY_GONE, "no measurements without the gateway"
+    if state.gateway is not None and not _measures(state):
+        return Cause.GATEWAY_SILENT, "gateway sends nothing"
     return Cause.SERVICE_SILENT, "reconstructor is there but sends none"
 
 
@@ -224,6 +228,9 @@ def _broken_at(bus: BusView) -> Notice | None:
     place = len(gone) - count if all(gone[-count:]) else count if all(gone[:count]) else None
     if place is None:
         return None
+    others = {each.code for each in bus.nodes_why} & {Cause.NODE_BOOTED.code, Cause.NODE_STARTING.code}
+    if others:  # all of them come back, one after another
+        return None
     where = f"between node {bus.nodes[place - 1]} and node {bus.nodes[place]}"
     named = ", ".join(map(str, silent))
     text = f"{bus.name}: nodes {named} fell silent together: the cable is broken, or without supply, {where}"
@@ -237,4 +244,4 @@ def _ignored(state: Snapshot) -> Iterator[Notice]:
 
 
 def _measures(state: Snapshot) -> bool:
-    return state.gateway is not None and not state.gateway.stale
+    return state.gateway is not None and not state.gateway.stale and state.gateway.age_s <= MISSED_S

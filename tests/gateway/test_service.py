@@ -184,7 +184,8 @@ def test_fault_of_a_link_is_told_once_in_log_and_status_and_so_is_its_end(
         assert buses[1].trouble.startswith(trouble)
         broken.takes, broken.state, broken.why = True, State.ACTIVE, ""
         served.turn_until(served.now_s + 0.6)
-        assert [bus.link for bus in served.statuses[-1].buses] == ["active", "active"]
+        stays = link if state > State.WARNING else "active"  # for as long as its trouble is told
+        assert [bus.link for bus in served.statuses[-1].buses] == ["active", stays]
     served.turn_until(served.now_s + 1.5)
     assert not any(bus.trouble for bus in served.statuses[-1].buses)
     about = [line for line in capsys.readouterr().err.splitlines() if line.startswith("gateway: bus1 ")]
