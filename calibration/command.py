@@ -72,6 +72,7 @@ def tare(
     skin tare --region thumb
     """
     of = of or SkinOptions()
+    of.require_right("ask", CALIBRATION.name)
     skin = of.find()
     require_boards(skin)
     named = region if region is None or region[:1].isalpha() else region.split(",")

@@ -14,8 +14,10 @@ from cyclopts import Parameter
 from canskin.description import DESCRIPTION, LAYOUT, LayoutReply, LayoutRequest
 from canskin.errors import BusError, DeniedError, InputError, LayoutError, Stopped
 from canskin.fabric import Fabric
+from canskin.keys import environment_keys
 from canskin.peers import GATEWAYS, Peer
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin, is_open
+from canskin.roles import Action, refusal
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_open
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -85,6 +87,12 @@ class SkinOptions:
         if self.skin not in {None, layout.name}:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
         return layout
+
+    def require_right(self, action: Action, name: str) -> None:
+        """Raise DeniedError if the role of the keys may not do an action, before a skin is looked for."""
+        keys = checked(self.endpoint, environment_keys())[1]
+        if keys is not None and (why := refusal(keys.role, action, name)):
+            raise DeniedError(f"keys {keys.folder}: {why}")
 
     def join(
         self,

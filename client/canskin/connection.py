@@ -150,6 +150,7 @@ class ConnectedSkin(Skin):
         super().mark(label)
         if self._hub.is_closed:
             raise BusError(CLOSED)
+        self._fabric.require_right("put", MARK.name)
         with self._came:
             if not self._came.wait_for(lambda: RECORDER in self._services(), self._timeout_s):
                 raise BusError(

@@ -208,7 +208,7 @@ class Fabric:
             self._session = open_client(endpoint, service, stop, patience_s, keys=keys)
         try:
             if service:
-                self._require_right("appear", service)
+                self.require_right("appear", service)
             self._require_alone(0.0)
             prepare(self)
             self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
@@ -247,7 +247,7 @@ class Fabric:
         """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
-            self._require_right("put", topic.name)
+            self.require_right("put", topic.name)
             # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
             key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
             publisher = self._session.declare_publisher(key, congestion_control=control)
@@ -292,7 +292,7 @@ class Fabric:
         The handler, or another thread later, calls `reply` once with the answer. Requests that cannot be decoded are
         counted in `malformed`.
         """
-        self._require_right("answer", question.name)
+        self.require_right("answer", question.name)
         decoder = msgspec.msgpack.Decoder(question.request)
         encode = msgspec.msgpack.encode  # in any thread
 
@@ -322,7 +322,7 @@ class Fabric:
         BusError
             If no service answers in time, or the answer cannot be decoded.
         """
-        self._require_right("ask", question.name)
+        self.require_right("ask", question.name)
         key, payload = f"{self._prefix}/{question.name}", self._encoder.encode(request)
         # Without consolidation: the first answer counts, while another service may hang.
         each = zenoh.ConsolidationMode.NONE
@@ -370,8 +370,8 @@ class Fabric:
         self._closed.set()
         self._session.close()
 
-    def _require_right(self, action: Action, name: str) -> None:
-        """Raise DeniedError if the hub will not let the holder of these keys do an action: zenoh drops it unsaid."""
+    def require_right(self, action: Action, name: str) -> None:
+        """Raise DeniedError if the hub will not let the holder of these keys do an action: zenoh says nothing."""
         holder = self._holder
         if holder is None:
             return
@@ -398,7 +398,7 @@ class Fabric:
             time.sleep(LOOK_S)
 
     def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
-        self._require_right("subscribe", topic.name)
+        self.require_right("subscribe", topic.name)
 
         def note(sample: Any) -> None:
             origin = _origin_of(sample.attachment)

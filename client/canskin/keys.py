@@ -173,6 +173,19 @@ def environment_keys() -> Keys | None:
     return Keys(folder) if folder else None
 
 
+def accepts(endpoint: str) -> bool:
+    """Tell whether a program takes connections at an endpoint of TCP or TLS."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol not in {"tls", "tcp"}:
+        return False
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+    except OSError:
+        return False
+    return True
+
+
 def reason(endpoint: str, keys: Keys | None) -> str:
     """Return why a hub refuses a connection, after three times `ANSWER_S` at the latest.
 

@@ -18,6 +18,8 @@ REAL_TIME: Final = "realtime"
 ORDINARY: Final = "ordinary"
 #: Services that tell a skin's layout and geometry; a skin has one of them.
 GATEWAYS: Final = ("gateway", "replay")
+#: Services whose layout and version matter to others. Whoever may only read can pass for no service of these.
+MAKERS: Final = (*GATEWAYS, "nodes", "reconstructor", "classifier")
 
 
 class Peer(msgspec.Struct, frozen=True):
@@ -53,8 +55,8 @@ class Peer(msgspec.Struct, frozen=True):
         return f"canskin/{self.skin}/alive/{self.service}/{about}"
 
     def difference(self, other: "Peer") -> str:
-        """Return why `other` cannot work with this service; empty if it can, or if too little is known."""
-        if not self.fingerprint or not other.fingerprint:
+        """Return why this service cannot work with `other`; empty if it can, or `other` only reads, or is not known."""
+        if other.service not in MAKERS or not self.fingerprint or not other.fingerprint:
             return ""
         if other.skin != self.skin:
             return (

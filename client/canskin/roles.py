@@ -47,7 +47,8 @@ class Role(NamedTuple):
         return tuple(each if isinstance(each, str) else each.name for each in allowed)
 
 
-#: Every role. A service hears its own messages, too: `skin-alive` with its keys looks for them.
+#: Every role. A service hears its own messages, too: `skin-alive` with its keys looks for them. A service puts
+#: SERVICES, to tell how it is.
 ROLES: Final = {
     "gateway": Role(
         "skin gateway: gives the sums of the boards, and has the zero of its skin",

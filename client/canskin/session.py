@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import zenoh
 
 from canskin.errors import BusError, Stopped, reasoned, tell
-from canskin.keys import ENVIRONMENT, HUB, PROTOCOLS_WITH_KEYS, Keys, environment_keys, reason
+from canskin.keys import ENVIRONMENT, HUB, PROTOCOLS_WITH_KEYS, Keys, accepts, environment_keys, reason
 from canskin.peers import EVERY_KEY, Peer, new_peer, peer_of_key
 
 
@@ -224,9 +224,7 @@ def open_client(
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
             if waited_s >= patience_s:
-                raise BusError(
-                    f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
-                ) from None  # that of zenoh says no more, and has paths of its build
+                raise _silence(endpoint, listener) from None  # that of zenoh says no more, and has paths of its build
         else:
             if keys is not None and _is_blind(session):
                 session.close()
@@ -250,6 +248,16 @@ def _is_blind(session: Any) -> bool:
             return True
         time.sleep(LOOK_S)
     return False
+
+
+def _silence(endpoint: str, listener: Listener) -> BusError:
+    """Return the error of a program that got no answer in time."""
+    if accepts(endpoint):
+        return BusError(
+            f"the {listener.name} at {endpoint} does not answer: it is busy with other connections, or another program"
+            " has the port"
+        )
+    return BusError(f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}")
 
 
 def _raise_refusal(endpoint: str, listener: Listener, keys: Keys | None) -> None:

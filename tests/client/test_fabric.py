@@ -4,6 +4,7 @@ import queue
 import threading
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 import pytest
 import zenoh
@@ -214,7 +215,7 @@ def test_hub_that_comes_later_is_found_and_both_are_told(
     Fabric("test", "early", endpoint).close()
     starting.join()
     hubs[0].close()
-    assert log.lines == [
+    assert [line for line in log.lines if "has no keys" not in line] == [
         f"early: waits for the fabric's hub at {endpoint}, usually 'skin gateway'",
         "early: the hub is there",
     ]
@@ -232,7 +233,6 @@ def test_services_of_another_phi_skin_or_version_are_named_once(endpoint: str, l
     expected = {
         "gateway: reconstructor has Φ bb, gateway has Φ aa: give both the same --layout",
         "reconstructor: gateway has Φ aa, reconstructor has Φ bb: give both the same --layout",
-        "gateway: viewer on this hub is of skin 'hand', gateway of 'palm': they do not hear each other",
         "viewer: gateway on this hub is of skin 'palm', viewer of 'hand': they do not hear each other",
     }
     log.wait_for(*expected)
@@ -246,8 +246,10 @@ def test_what_a_service_says_of_itself_survives_its_key() -> None:
     assert peer.version
     assert peer_of_key(peer.key) == peer
     assert peer_of_key("canskin/palm/alive/gateway/8f00") == Peer("palm", "gateway", "8f00")
-    newer = Peer("palm", "viewer", "1", "9.9", "0123456789abcdef")
-    assert "viewer is canskin 9.9" in peer.difference(newer)
+    newer = Peer("palm", "reconstructor", "1", "9.9", "0123456789abcdef")
+    assert "reconstructor is canskin 9.9" in peer.difference(newer)
+    for reads in ("viewer", "recorder", "client"):  # keys of a reader raise no alarm
+        assert not peer.difference(msgspec.structs.replace(newer, service=reads))
     assert not peer.difference(Peer("palm", "viewer", "1"))
 
 

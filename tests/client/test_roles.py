@@ -1,5 +1,7 @@
 """The table of roles: no cell is needless, and a refusal names the roles that may."""
 
+from canskin.messages import MARK, SERVICES
+from canskin.peers import MAKERS
 from canskin.roles import ACTIONS, QUESTIONS, ROLES, TOPICS, refusal, roles_for
 
 
@@ -16,6 +18,12 @@ def test_a_person_may_all_that_programs_of_persons_may() -> None:
     for role in ("viewer", "recorder", "client", "ros2"):
         for action in ACTIONS:
             assert set(ROLES[role].names(action)) <= set(ROLES["operator"].names(action))
+
+
+def test_only_who_makes_something_passes_for_a_service_that_others_need() -> None:
+    for name, role in ROLES.items():
+        makes = set(role.put) - {SERVICES, MARK}
+        assert bool(set(role.appear) & set(MAKERS)) is bool(makes), name
 
 
 def test_a_refusal_names_the_own_role_and_those_that_may() -> None:

@@ -15,13 +15,15 @@ from unittest import mock
 import pytest
 
 import canskin
-from canskin.errors import BusError, InputError
+from calibration.command import tare
+from canskin.errors import BusError, DeniedError, InputError
 from canskin.fabric import Fabric
 from canskin.keys import ANSWER_S, Keys, reason
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT, UNIX, open_client, open_hub, peers_at
 from hub.authority import Authority
 from shell.command import build_app
+from shell.skin_options import SkinOptions
 from tests.hub.keys import issue_for, make_authority
 from tests.processes import PATIENCE_S, free_port
 
@@ -98,7 +100,7 @@ def test_zenoh_refuses_what_the_program_does_not_find_out(
     )
     with closing(open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))):
         for host, keys in refused:
-            with pytest.raises(BusError, match="no hub at"):
+            with pytest.raises(BusError, match="does not answer: it is busy"):
                 open_client(f"tls/{host}:{port}", "client", None, 0.3, keys=keys)
         open_client(f"tls/127.0.0.1:{port}", "client", None, 5.0, keys=good).close()
 
@@ -218,6 +220,14 @@ def test_a_hub_has_keys_of_its_role(authority: Authority) -> None:
     assert "they are the hub's own: expected those of a role" in refusal(
         "tls/127.0.0.1:1", Keys(authority.folder / "hub")
     )
+
+
+def test_a_tare_without_the_right_is_refused_before_a_skin_is_looked_for(
+    authority: Authority, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SKIN_KEYS", str(authority.folder / "client"))
+    with pytest.raises(DeniedError, match="role 'client' may not ask 'calibration', 'ros2', 'operator' may"):
+        tare(of=SkinOptions(connect="tls/127.0.0.1:1"))
 
 
 def test_quic_uses_keys(authority: Authority) -> None:

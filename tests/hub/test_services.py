@@ -65,5 +65,7 @@ def test_every_service_and_verb_works_with_keys_of_its_role(tmp_path: Path, monk
             skin.mark("ball")
         with canskin.connect(endpoint, timeout_s=PATIENCE_S, keys=keys / "client") as skin:
             skin.latest(PATIENCE_S)
+            with pytest.raises(BusError, match="role 'client' may not put 'marks'"):
+                skin.mark("ball")
         assert started.stop("recorder") == 0
     assert " may " not in started.log("hub").read_text()

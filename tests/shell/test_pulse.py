@@ -3,9 +3,11 @@
 import threading
 import time
 from contextlib import closing
+from unittest import mock
 
 import pytest
 
+from canskin.errors import DeniedError
 from canskin.fabric import Fabric
 from canskin.messages import LABEL, SERVICES, ServiceStatus
 from shell.pulse import PERIOD_S, Pulse
@@ -37,3 +39,14 @@ def test_a_service_tells_once_a_second_what_it_made_took_and_lost(endpoint: str)
     assert (first.made, second.made) == (3, 7)
     assert first.memory_bytes > 1 << 20
     assert 0 < first.processor_s <= second.processor_s
+
+
+def test_a_role_that_may_tell_nothing_stops_no_service() -> None:
+    now_s = 0.0
+    pulse = Pulse(threading.Event(), lambda: now_s)
+    pulse.fabric = mock.Mock(overruns=0, service="new", instance="1")
+    pulse.fabric.missed.counts.return_value = {}
+    pulse.fabric.publish.side_effect = DeniedError("may not put 'services'")
+    now_s = 2 * PERIOD_S
+    pulse.beat()
+    assert pulse.fabric.publish.called
