@@ -63,7 +63,7 @@ class Patches:
 
     def of(self, image: Image, now_s: float, epoch_s: float) -> list[PatchState]:
         """Return the regions in an image; at `now_s`, where `epoch_s` is the wall-clock time of 0."""
-        forces_n = np.frombuffer(image.pixels, "<f4")
+        forces_n = np.frombuffer(image.pixels, "<f4").astype(float)  # whose moments are no infinities
         total_n = self._inside @ forces_n
         moments = self._inside @ (forces_n[:, None] * self._places)
         measured = self._of_blocks @ np.frombuffer(image.valid, np.uint8).astype(np.float32)
