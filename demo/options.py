@@ -77,7 +77,7 @@ class DemoOptions:
     def check(self, layout: Layout) -> None:
         """Raise InputError unless a run with these options is possible."""
         require_above_zero("--seconds", self.seconds)
-        check_listen(self.listen or DEFAULT_ENDPOINT, "demo", insecure=self.insecure)
+        check_listen(self.listen or DEFAULT_ENDPOINT, insecure=self.insecure)
         virtual_bit_rates(layout)
         if self.sync_rate is not None:
             require_sending(layout, "synchronous", "--sync-rate is", "stepped boards send as they have news")

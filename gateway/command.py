@@ -73,7 +73,7 @@ def gateway(
     stop = StopSignal().install()
     pulse = Pulse(stop)
     if connect is None:
-        check_listen(listen, "gateway", insecure=insecure)
+        check_listen(listen, insecure=insecure)
     skin = load_layout(layout)
     rates_hz = publishing_rates(max_rate, min_rate)
     if (max_rate, min_rate) != (None, None):

@@ -67,7 +67,11 @@ class Cause(Enum):
         "'skin scan' names it",
     )
     NODE_TWICE = (WARNING, "two boards have one node-ID", "unplug one: 'skin commission' gives it another")
-    NODE_REFUSED = (WARNING, "a board's configuration is refused", "'skin node configure', or layout and program agree")
+    NODE_REFUSED = (
+        WARNING,
+        "a board's configuration is refused",
+        "compare its program with the layout: 'skin node check'",
+    )
     NODE_UNANSWERED = (WARNING, "a board answers no SDO request", "reset the board; another master may use its SDO")
     NODE_LEFT = (WARNING, "a board has left OPERATIONAL", "its emergency says why; the gateway starts it again")
     NODE_BOOTED = (WARNING, "a board has booted again", "check its supply if that repeats")

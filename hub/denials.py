@@ -12,8 +12,10 @@ from canskin.keys import parts_of
 from canskin.roles import Action, roles_for
 from canskin.text import plain
 
-#: Most lines about one holder, who may invent names without end.
+#: Most lines about the names that one holder invents in `PERIOD_S`: they have no end.
 MOST_LINES: Final = 20
+#: A denial is told once in this time.
+PERIOD_S: Final = 3600.0
 #: Longest name of a key that is told.
 NAME_MAX: Final = 100
 #: Most sessions whose holders are known, the newest, and most denials that are known without another look.
@@ -45,7 +47,7 @@ _ACTIONS: Final[dict[str, Action]] = {
 
 
 class Denials:
-    """Tells each denial once: who may not do what, and who may.
+    """Tells each denial once in `PERIOD_S`: who may not do what, and who may.
 
     Parameters
     ----------
@@ -53,17 +55,29 @@ class Denials:
         Takes a line.
     revoked : collection of str
         Common names of keys that are revoked.
+    clock : callable, optional
+        Monotonic time in seconds.
     """
 
-    def __init__(self, say: Callable[[str], None], revoked: Collection[str] = ()) -> None:
-        self._say, self._revoked = say, revoked
+    def __init__(
+        self,
+        say: Callable[[str], None],
+        revoked: Collection[str] = (),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._say, self._revoked, self._clock = say, revoked, clock
+        self._since_s = clock()
         self._holders: dict[bytes, str] = {}
         self._ahead: set[bytes] = set()
         self._known: set[int] = set()  # hashes: a name may be long
-        self._said: dict[str, set[str]] = {}
+        self._said: dict[tuple[str, bool], set[str]] = {}
 
     def take(self, content: bytes) -> None:
         """Take whole lines of zenoh."""
+        if self._clock() - self._since_s >= PERIOD_S:
+            self._since_s = self._clock()
+            self._known.clear()
+            self._said.clear()
         for line in content.split(b"\n"):
             # What a session is denied is printed each time: a flood must not take the processor.
             if hash(line[_WHEN:]) not in self._known and any(part in line for part in _PARTS):
@@ -76,7 +90,10 @@ class Denials:
         if found["ahead"]:  # of a new key: first all decisions for what comes in, then those for what goes out
             (self._ahead.add if found["ahead"] == b"ingress" else self._ahead.discard)(found["thread"])
         elif found["stranger"]:
-            self._tell("keys that are not in the list of holders", "may do nothing: copy the hub's keys here again")
+            self._tell(
+                "keys that are not in the list of holders",
+                "may do nothing: copy the hub's keys here, and start it again",
+            )
         else:
             self._take_decision(found)
 
@@ -103,14 +120,15 @@ class Denials:
         allowed = ", ".join(roles_for(action, name)) if action else ""
         verb = "appear as" if action == "appear" else action or what.lower()
         said = f"may not {verb} '{plain(name[:NAME_MAX])}'"
-        self._tell(holder, f"{said}: {allowed} may" if allowed else said)
+        self._tell(holder, f"{said}: {allowed} may" if allowed else said, is_invented=not allowed)
 
-    def _tell(self, holder: str, text: str) -> None:
-        said = self._said.setdefault(holder, set())
-        if text in said or len(said) > MOST_LINES:
+    def _tell(self, holder: str, text: str, *, is_invented: bool = False) -> None:
+        said = self._said.setdefault((holder, is_invented), set())
+        if text in said or (is_invented and len(said) > MOST_LINES):
             return
         said.add(text)
-        self._say(f"{holder} {text}" if len(said) <= MOST_LINES else f"{holder}: no more of its denials are told")
+        is_last = is_invented and len(said) > MOST_LINES
+        self._say(f"{holder}: no more names that it invents are told" if is_last else f"{holder} {text}")
 
 
 def read_stdout(take: Callable[[bytes], None]) -> None:

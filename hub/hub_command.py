@@ -4,6 +4,7 @@ import threading
 import time
 from contextlib import closing
 
+from canskin.errors import InputError
 from canskin.keys import environment_keys
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, checked, open_hub, print_denials
 from hub.denials import Denials, ignore_stdout, read_stdout
@@ -18,8 +19,8 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     """Pass the messages of one skin or of many, so that a gateway that stops cuts nobody else off.
 
     With ``--keys`` of role hub every program needs keys, and does what its role may: see ``skin keys explain``. What
-    is denied is logged once. After ``skin keys renew`` or ``revoke`` start the hub again with its new folder: programs
-    come back by themselves, 0.2 s later.
+    is denied is logged once an hour. After ``skin keys add``, ``renew`` or ``revoke`` start the hub again with its new
+    folder: programs come back by themselves, 0.2 s later.
 
     Parameters
     ----------
@@ -34,8 +35,13 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     skin hub --listen tls/0.0.0.0:7447 --keys keys/hub
     """
     pulse = Pulse(StopSignal().install())
-    check_listen(listen, "hub", insecure=insecure)
-    endpoint, keys = checked(listen, environment_keys())
+    check_listen(listen, insecure=insecure)
+    given = environment_keys()
+    endpoint, keys = checked(listen, given)
+    if given is not keys:
+        raise InputError(
+            f"--listen {listen}: a socket of this user has no keys: give tls/HOST:PORT, or leave --keys out"
+        )
     rules = None
     if keys is not None:
         keys.watch_end("hub", threading.Event())

@@ -42,6 +42,8 @@ def new(folder: Path, *, skin: str, host: Hosts = ()) -> None:
     """
     if not re.fullmatch(_SKIN, skin):
         raise InputError(f"--skin {skin}: expected the name of the skin in its layout: small letters, digits and _")
+    if skin in {HUB, *ROLES}:
+        raise InputError(f"--skin {skin}: a role has that name: give the skin another one in its layout")
     names = _common_names(skin, (HUB, *ROLES))
     _issue(new_authority(folder, skin, host), names)
 
@@ -64,15 +66,19 @@ def add(folder: Path, *names: str) -> None:
     authority = Authority(folder)
     wanted = _common_names(authority.list.skin, names)
     for name in wanted:
+        if parts_of(name)[1] == HUB:
+            raise InputError(f"'{name}': the hub has keys: 'skin keys renew {folder} hub'")
         if name in authority.list.until:
             raise InputError(f"'{name}' has keys: 'skin keys renew', or add another holder")
     _issue(authority, wanted)
+    _advise(folder)
 
 
 def renew(folder: Path, *names: str, host: Hosts = ()) -> None:
     """Make new keys and certificates for another year; those before count until they end.
 
-    A program reads its new files when it connects again; the hub must be started again.
+    Renewing stops no copy of keys: ``skin keys revoke`` does. A program reads its new files when it connects again; the
+    hub must be started again.
 
     Parameters
     ----------
@@ -90,11 +96,14 @@ def renew(folder: Path, *names: str, host: Hosts = ()) -> None:
     """
     authority = Authority(folder)
     authority.list.hosts = list(host) or authority.list.hosts
-    _issue(authority, _known(authority, names or authority.list.allowed))
+    wanted = _known(authority, names or authority.list.allowed)
+    _issue(authority, wanted)
+    if any(parts_of(name)[1] == HUB for name in wanted):
+        _advise(folder)
 
 
 def revoke(folder: Path, *names: str) -> None:
-    """Let keys count no longer: lost or stolen ones.
+    """Let keys count no longer: lost or stolen ones. Those of the hub need a new authority.
 
     Parameters
     ----------
@@ -109,9 +118,14 @@ def revoke(folder: Path, *names: str) -> None:
     skin keys revoke keys viewer operator:anna
     """
     authority = Authority(folder)
-    authority.list.revoked = sorted({*authority.list.revoked, *_known(authority, names)})
+    wanted = _known(authority, names)
+    if any(parts_of(name)[1] == HUB for name in wanted):
+        raise InputError(
+            "the hub's keys cannot be revoked: no program asks a list; make a new authority: 'skin keys new'"
+        )
+    authority.list.revoked = sorted({*authority.list.revoked, *wanted})
     authority.write_list()
-    print(f"revoked: now copy {folder / HUB} to the hub's machine, and start the hub again")
+    _advise(folder)
 
 
 def list_(folder: Path) -> None:
@@ -175,6 +189,10 @@ def _known(authority: Authority, names: Sequence[str]) -> list[str]:
         if name not in authority.list.until:
             raise InputError(f"'{name}' has no keys: see 'skin keys list'")
     return wanted
+
+
+def _advise(folder: Path) -> None:
+    print(f"now copy {folder / HUB} to the hub's machine, and start the hub again")
 
 
 def _issue(authority: Authority, names: Sequence[str]) -> None:

@@ -95,7 +95,7 @@ def replay(
     skin replay run.mcap --out images.npz --solver paper
     """
     _check(source, speed, out)
-    check_listen(listen or DEFAULT_ENDPOINT, "replay", insecure=insecure)
+    check_listen(listen or DEFAULT_ENDPOINT, insecure=insecure)
     stop = StopSignal().install()
     skin = load_layout(source if is_recording(source) and layout is None else layout)
     if channel and is_recording(source):

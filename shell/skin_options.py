@@ -17,7 +17,6 @@ from canskin.fabric import Fabric
 from canskin.peers import GATEWAYS, Peer
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin, is_open
 from recording import is_recording
-from shell.service import say
 from skin.description import describe
 from skin.difference import difference
 from skin.layout import Layout, layout_text, load_layout, parse_layout
@@ -146,16 +145,13 @@ class SkinOptions:
             time.sleep(LOOK_S)
 
 
-def check_listen(endpoint: str, service: str, *, insecure: bool) -> None:
-    """Raise InputError if a hub at `endpoint` serves a network without keys; with `insecure` log a line in place."""
-    if not is_open(endpoint):
-        return
-    if not insecure:
+def check_listen(endpoint: str, *, insecure: bool) -> None:
+    """Raise InputError if a hub at `endpoint` serves a network without keys, and that is not asked for."""
+    if is_open(endpoint) and not insecure:
         raise InputError(
             f"--listen {endpoint}: everybody on that network could read the skin, tare it and send false images:"
             " expected tls/… and --keys FOLDER, an address of loopback, or --insecure"
         )
-    say(service, f"{endpoint} has no keys: everybody on that network can read the skin, tare it and send false images")
 
 
 def join(

@@ -202,7 +202,10 @@ class Fabric:
         keys = keys or environment_keys()
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
         self._holder = None if hub else checked(endpoint, keys)[1]
-        self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
+        if hub:
+            self._session = open_hub(endpoint, keys, service=service)
+        else:
+            self._session = open_client(endpoint, service, stop, patience_s, keys=keys)
         try:
             if service:
                 self._require_right("appear", service)

@@ -79,11 +79,17 @@ class Keys:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder).expanduser().absolute()
         for name in (CA, CERTIFICATE, KEY):
-            with reasoned(InputError, f"keys {self.folder}: {name} cannot be read"), (self.folder / name).open("rb"):
+            with (
+                reasoned(InputError, f"keys {self.folder}: expected the folder of one role: {name} cannot be read"),
+                (self.folder / name).open("rb"),
+            ):
                 pass
         key = self.folder / KEY
         if os.name == "posix" and key.stat().st_mode & 0o077:
-            raise InputError(f"{key} can be read by other users: chmod 600, and 'skin keys renew' if they may have")
+            raise InputError(
+                f"{key} can be read by other users: chmod 600; if they may have, 'skin keys revoke', and add"
+                " another holder"
+            )
         try:
             about = self._certificate()
         except ssl.SSLError as error:

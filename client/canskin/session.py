@@ -117,8 +117,8 @@ def is_open(endpoint: str) -> bool:
     return protocol in PROTOCOLS_WITHOUT_KEYS and not is_loopback(address.rpartition(":")[0].strip("[]"))
 
 
-def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | None = None) -> Any:
-    """Open the session of the hub.
+def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | None = None, service: str = HUB) -> Any:
+    """Open the session of the hub; log who may connect without keys, beside this user.
 
     Parameters
     ----------
@@ -126,6 +126,8 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
         Of role `HUB`: whoever connects needs keys of the same authority.
     rules : dict, optional
         Zenoh's ``access_control``: who may do what.
+    service : str
+        Name in the log.
 
     Raises
     ------
@@ -138,7 +140,12 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
             f"cannot listen on {endpoint} with keys of '{keys.common_name}': expected those of role '{HUB}', or"
             " --connect tls/HOST:PORT"
         )
+    protocol = endpoint.partition("/")[0]
+    if protocol in PROTOCOLS_WITHOUT_KEYS:
+        who = "everybody on that network" if is_open(endpoint) else "every user of this machine"
+        tell(service, f"{endpoint} has no keys: {who} can read the skin, tare it and send false images")
     is_ours = os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME) == _RUNTIME
+    mask = os.umask(0o077) if protocol == UNIX else None  # of the socket, which zenoh makes
     try:
         session = zenoh.open(_config(endpoint, keys, hub=True, rules=rules))
     except zenoh.ZError as error:
@@ -146,6 +153,8 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
         why = "another hub listens there" if "EAGAIN" in str(error) else first_sentence(error)
         raise BusError(f"cannot listen on {endpoint}: {why}") from None  # the message says all
     finally:
+        if mask is not None:
+            os.umask(mask)
         if is_ours:
             del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs
     if keys is not None:  # whoever may connect sees the hub; whoever sees nothing is revoked

@@ -14,8 +14,8 @@ import pytest
 
 from canskin.errors import BusError
 from canskin.fabric import Fabric
-from canskin.session import UNIX, is_open, own_folder
-from tests.processes import PATIENCE_S
+from canskin.session import UNIX, is_open, open_hub, own_folder
+from tests.processes import PATIENCE_S, free_port
 
 #: Runs the default hub until its input ends.
 HUB = """
@@ -105,6 +105,23 @@ def test_a_folder_of_another_user_or_none_is_refused(tmp_path: Path, monkeypatch
     monkeypatch.setattr(os, "getuid", lambda: own.stat().st_uid + 1)
     with pytest.raises(BusError, match="can be opened by other users"):
         own_folder(own)
+
+
+def test_every_socket_of_a_hub_is_its_users_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    before = os.umask(0)
+    try:
+        with closing(open_hub(f"{UNIX}/{tmp_path}/hub")):
+            assert not stat.S_IMODE((tmp_path / "hub").stat().st_mode) & 0o077
+    finally:
+        assert os.umask(before) == 0
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize(("host", "who"), [("127.0.0.1", "every user of this machine"), ("0.0.0.0", "everybody")])  # noqa: S104
+def test_a_hub_without_keys_says_who_may_connect(host: str, who: str, caplog: pytest.LogCaptureFixture) -> None:
+    endpoint = f"tcp/{host}:{free_port()}"
+    Fabric("palm", "gateway", endpoint, hub=True).close()
+    assert [line for line in caplog.messages if line.startswith(f"{endpoint} has no keys: {who} ")]
 
 
 def test_a_path_that_no_socket_can_have_is_one_clear_line(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from canskin.fabric import Fabric
 from canskin.keys import Keys
 from canskin.messages import LABEL
 from canskin.session import open_client
-from hub.denials import MOST_LINES, Denials
+from hub.denials import MOST_LINES, PERIOD_S, Denials
 from hub.hub_command import hub
 from tests.hub.keys import make_authority
 from tests.messages import label
@@ -109,10 +109,16 @@ def test_a_denial_is_told_once_with_who_and_what(tmp_path: Path) -> None:
             rf"palm:client may not put '\x1b[2m{'x' * 93}'",
             "palm:client may not ask 'calibration': ros2, operator may",
             "palm:client:lost may do nothing: these keys are revoked",
-            "keys that are not in the list of holders may do nothing: copy the hub's keys here again",
+            "keys that are not in the list of holders may do nothing: copy the hub's keys here, and start it again",
             "palm:client may not put 'canskin/hand/image'",
         ]
     )
+
+
+def test_keys_that_a_socket_would_drop_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SKIN_KEYS", str(make_authority(tmp_path / "keys", "client").folder / "hub"))
+    with pytest.raises(InputError, match="has no keys: give tls/HOST:PORT, or leave --keys out"):
+        hub(listen=f"unixsock-stream/{tmp_path}/hub")
 
 
 def test_a_network_without_keys_is_refused() -> None:
@@ -131,16 +137,20 @@ def denied(key: str, holder: str = "palm:client") -> bytes:
 
 def test_a_program_that_invents_names_fills_no_log_and_imitates_no_other() -> None:
     said: list[str] = []
-    denials = Denials(said.append)
+    clock = iter([*[0.0] * 103, *[PERIOD_S] * 2])
+    denials = Denials(said.append, clock=lambda: next(clock))
     forged = re.sub(rb"\x1b", rb"\\x1b", denied("canskin/palm/image", "palm:operator"))  # zenoh escapes this sign
     denials.take(denied("canskin/palm/a\n") + forged)
     for number in range(100):
         denials.take(denied(f"canskin/palm/{number}"))
-    denials.take(denied("canskin/palm/image", "palm:viewer"))
+    denials.take(denied("canskin/palm/image"))
     assert len(said) == MOST_LINES + 2
     assert said[0] == "palm:client may not put 'a'"
-    assert said[-2] == "palm:client: no more of its denials are told"
-    assert said[-1] == "palm:viewer may not put 'image': reconstructor may"
+    assert said[-2] == "palm:client: no more names that it invents are told"
+    assert said[-1] == "palm:client may not put 'image': reconstructor may"  # names of the fabric are always told
+    denials.take(denied("canskin/palm/image"))
+    assert said[MOST_LINES + 2 :] == said[-1:]
+    assert said[-1] == said[-2]
 
 
 @given(st.binary(max_size=200), st.text(max_size=30), st.text(max_size=200))

@@ -234,14 +234,14 @@ def test_a_missing_or_damaged_file_is_named(authority: Authority, name: str) -> 
     with pytest.raises(InputError, match="do not belong together"):
         Keys(path.parent)
     path.unlink()
-    with pytest.raises(InputError, match=f"{name} cannot be read"):
+    with pytest.raises(InputError, match=f"expected the folder of one role: {name} cannot be read"):
         Keys(path.parent)
 
 
 def test_keys_that_cannot_be_used(authority: Authority) -> None:
     folder = authority.folder / "client"
     (folder / "key.pem").chmod(0o640)
-    with pytest.raises(InputError, match="can be read by other users"):
+    with pytest.raises(InputError, match=r"can be read by other users: .*'skin keys revoke', and add another"):
         Keys(folder)
     shutil.copy(authority.folder / "hub" / "key.pem", folder / "key.pem")
     (folder / "key.pem").chmod(0o600)

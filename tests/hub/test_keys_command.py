@@ -65,6 +65,7 @@ def test_no_authority_is_written_over(folder: Path) -> None:
 
 def test_holders_are_added_renewed_and_revoked_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     add(folder, "client:laptop7", "operator:anna")
+    assert f"copy {folder / 'hub'} to the hub's machine, and start the hub again" in capsys.readouterr().out
     (folder / "hand.gateway").mkdir()
     add(folder, "hand:gateway")
     assert Keys(folder / "client.laptop7").holder == "laptop7"
@@ -88,6 +89,17 @@ def test_holders_are_added_renewed_and_revoked_alone(folder: Path, capsys: pytes
         assert "palm:operator:anna" in names
         assert "hand:gateway" in names
         assert "palm:client:laptop7" not in names
+
+
+def test_the_hubs_keys_are_neither_revoked_nor_added(folder: Path) -> None:
+    before = (folder / "holders.json").read_bytes()
+    with pytest.raises(InputError, match="make a new authority"):
+        revoke(folder, "client", "hub")
+    for name in ("hub:two", "hand:hub", "hub:gateway"):
+        with pytest.raises(InputError, match=f"the hub has keys: 'skin keys renew {folder} hub'"):
+            add(folder, name)
+    assert (folder / "holders.json").read_bytes() == before
+    assert not list(folder.glob("*hub?*"))
 
 
 def test_the_list_tells_who_is_revoked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,6 +126,8 @@ def test_what_is_not_there(folder: Path, tmp_path: Path) -> None:
         revoke(folder)
     with pytest.raises(InputError, match=r"^--skin pa\*\*lm: expected the name of the skin"):
         new(tmp_path / "other", skin="pa**lm")
+    with pytest.raises(InputError, match="--skin hub: a role has that name"):
+        new(tmp_path / "other", skin="hub")
     with pytest.raises(InputError, match="expected the name or the address"):
         new(tmp_path / "other", skin="palm", host=("a b",))
     with pytest.raises(InputError, match="expected the list that 'skin keys new' makes"):

@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from canskin.errors import InputError
+from health.causes import Cause
 from shell.command import GROUPS, VERBS, build_app, docstring, examples, summary
 from shell.service import RateLimitedLog, Talk, say, set_talk
 from tests.processes import Verb
@@ -45,6 +46,12 @@ def test_help_ends_with_two_examples(verb: str, where: str) -> None:
     assert heading == "Examples:"
     assert len(shown) >= 2
     assert all(line.startswith(f"`skin {verb}") and line.endswith("`") for line in shown)
+
+
+def test_every_verb_that_a_cause_names_exists() -> None:
+    named = [f"{words} " for cause in Cause for words in re.findall("'skin ([^']+)'", cause.mend)]
+    assert named
+    assert not [words for words in named if not any(words.startswith(f"{verb} ") for verb in VERBS)]
 
 
 @pytest.mark.heavy
