@@ -23,8 +23,8 @@ ELSEWHERE = {
 }
 #: Draws of overlapping faults, for example 1000.
 DRAWS = int(os.environ.get("SKIN_FAULTS", "4"))
-#: Faults that overlap: those of a bus at its usual rate. Where a board is there twice and is out of order once, the sums
-#: of the other board are taken for its own.
+#: Faults that overlap: those of a bus at its usual rate. Where a board is there twice, and is out of order once, the
+#: sums of the other board are taken for its own.
 OF_BUSES = [
     each
     for each in SCENES[: [scene.fault for scene in SCENES].index("the hub is away")]
