@@ -5,6 +5,7 @@ import select
 import time
 import zlib
 from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import ExitStack
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Final, Protocol, cast
@@ -181,7 +182,10 @@ def _reader(path: Path) -> MessageReader:
         if _LOGGED.match(first) or _PRINTED.match(first):
             return can.CanutilsLogReader(path)
     if path.suffix.lower() == ".blf":
-        return _Blf(path)
+        with ExitStack() as opened:
+            blf_reader = _Blf(opened.enter_context(path.open("rb")))
+            opened.pop_all()  # the reader closes what it can read
+        return blf_reader
     reader = can.LogReader(path)
     if path.suffix.lower() == ".gz" and not isinstance(reader, TextIOMessageReader):
         raise ValueError("expected lines in a .gz")

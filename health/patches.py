@@ -49,7 +49,7 @@ class Patches:
         """Note the regions whose total force is above their threshold in an image that came at `now_s`."""
         if not self._limited or not image.valid_sums:
             return
-        total_n = self._inside[self._limited] @ np.frombuffer(image.pixels, "<f4")
+        total_n = self._inside[self._limited] @ _forces_n(image)
         for region, force_n in zip((self._regions[number] for number in self._limited), total_n.tolist(), strict=True):
             if region.threshold_n is not None and force_n > region.threshold_n:
                 over = self._over.get(region.name)
@@ -59,11 +59,11 @@ class Patches:
 
     def total_n(self, image: Image) -> float | None:
         """Return the force on the whole skin, newtons; None if nothing was measured."""
-        return float(np.frombuffer(image.pixels, "<f4") @ self._inside[0]) if image.valid_sums else None
+        return float(_forces_n(image) @ self._inside[0]) if image.valid_sums else None
 
     def of(self, image: Image, now_s: float, epoch_s: float) -> list[PatchState]:
         """Return the regions in an image; at `now_s`, where `epoch_s` is the wall-clock time of 0."""
-        forces_n = np.frombuffer(image.pixels, "<f4")
+        forces_n = _forces_n(image)
         total_n = self._inside @ forces_n
         moments = self._inside @ (forces_n[:, None] * self._places)
         measured = self._of_blocks @ np.frombuffer(image.valid, np.uint8).astype(np.float32)
@@ -90,3 +90,8 @@ class Patches:
             apart_m = np.linalg.norm(self._surface.positions_m - centre[2:], axis=1)
             row, column = 0.0, float(apart_m.argmin())
         return replace(patch, row=row, column=column, position_m=(x_m, y_m, z_m))
+
+
+def _forces_n(image: Image) -> npt.NDArray[np.float64]:
+    """Return the forces as numbers whose sums and moments are finite: those of an image may be as large as float32."""
+    return np.frombuffer(image.pixels, "<f4").astype(np.float64)

@@ -5,6 +5,7 @@ after the last: cycle c, from 1, has matrix (c - 1) mod frames.
 """
 
 import hashlib
+import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from io import StringIO
@@ -190,8 +191,10 @@ def _read_npz(path: Path) -> npt.NDArray[Any]:
 def _read_csv(path: Path) -> npt.NDArray[Any]:
     text = read_file(path, InputError, "the matrix").decode("utf-8-sig", errors="replace")
     try:
-        return np.loadtxt(StringIO(text), delimiter=",", ndmin=2)
-    except ValueError as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # what NumPy says of a file without lines
+            return np.loadtxt(StringIO(text), delimiter=",", ndmin=2)
+    except (ValueError, UserWarning) as error:
         expected = "expected a CSV with a line for each sum, a value for each taxel, or an .npz"
         raise InputError(f"{path}: cannot read the matrix: {expected}: {error}") from error
 

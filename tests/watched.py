@@ -15,7 +15,7 @@ from bus.simulated_bus import SimulatedBus
 from bus.station import Station
 from canskin.messages import Measurement
 from canskin.peers import Peer, new_peer
-from dbc.frame import ECHO, ERROR, Frames
+from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
 from gateway.calibration import GatewayCalibration
 from gateway.service import STATUS_PERIOD_S
 from health.state import ViewState
@@ -114,10 +114,15 @@ class Watched(World):
     #: What the links of the buses are, where the simulated controllers are well.
     forced: dict[int, State] = field(default_factory=dict)
     peers: dict[str, Peer] = field(default_factory=dict)
+    #: Frames with the identifiers of sums that the gateway has heard.
+    heard_sums: int = 0
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         layout = self.contract.layout
+        self._sums = [
+            [tpdo.cob_id for node in self.contract.on_bus(bus) for tpdo in node.tpdos] for bus in range(len(layout.bus))
+        ]
+        super().__post_init__()
         self.state = ViewState(layout, service="viewer")
         self._calibration = GatewayCalibration(self.contract, tares=False)
         self._look_s = self.now_s
@@ -144,6 +149,8 @@ class Watched(World):
     def hear(self, bus: int, arrived: Frames) -> None:
         wire = self.wires[bus]
         self.link[bus] = self.forced.get(bus, wire.state) if isinstance(wire, BusWire) else State.ACTIVE
+        plain = arrived[arrived["flags"] & (ECHO | ERROR | EXTENDED | REMOTE | FD) == 0]
+        self.heard_sums += int(np.isin(plain["can_id"], self._sums[bus]).sum())
         super().hear(bus, arrived)
 
     def step(self) -> list[Measurement]:

@@ -1,10 +1,16 @@
 """Each fault that a skin can have: its causes are named, no wrong block is valid, and the skin becomes whole again."""
 
+import os
+
+import numpy as np
 import pytest
 
+from bus.link import State
 from docs.faults import PAGE, page
 from health.causes import Cause
-from tests.health.scenes import SCENES, Scene, played
+from tests.health.scenes import BUSES, CALM_S, PATIENCE_S, SCENES, Scene, doubled, played
+from tests.layouts import small_contract
+from tests.watched import BusWire, Watched
 
 pytestmark = pytest.mark.slow
 
@@ -15,6 +21,15 @@ ELSEWHERE = {
     "calibration and forces": ("no-zero", "defect", "doubtful-force", "threshold", "node-frozen"),
     "others": ("recording-ended", "misfits"),
 }
+#: Draws of overlapping faults, for example 1000.
+DRAWS = int(os.environ.get("SKIN_FAULTS", "4"))
+#: Faults that overlap: those of a bus at its usual rate. Where a board is there twice, and is out of order once, the
+#: sums of the other board are taken for its own.
+OF_BUSES = [
+    each
+    for each in SCENES[: [scene.fault for scene in SCENES].index("the hub is away")]
+    if not each.at_start and not each.tables and each.begin is not doubled
+]
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.fault)
@@ -32,3 +47,31 @@ def test_every_cause_has_a_scene() -> None:
 
 def test_the_page_is_that_of_the_scenes() -> None:
     assert PAGE.read_text("utf-8") == page(), "run python -m docs.faults"
+
+
+@pytest.mark.parametrize("seed", range(DRAWS))
+def test_overlapping_faults_leave_nothing_behind(seed: int) -> None:
+    """Three faults begin one after another, and end in any order; of two that change the same thing the later wins."""
+    random = np.random.default_rng(seed)
+    world = Watched(small_contract(bus=BUSES))
+    world.until_whole(3.0)
+    ends = []
+    for scene in random.choice(np.array(OF_BUSES, object), 3, replace=False):
+        ends.append(scene.begin(world))
+        world.run(random.uniform(0.1, 3.0))
+    for place in random.permutation(3):
+        ends[place]()
+        world.run(random.uniform(0.0, 1.0))
+    world.during = None
+    for wire in world.wires:
+        wire.loses = None
+    ended_s = world.now_s
+    world.until(lambda: world.now_s - max(ended_s, world.broken_s, world.said_s) > CALM_S, PATIENCE_S)
+    assert not any(map(world.wrong_blocks, world.measured))
+    assert world.link == [State.ACTIVE] * 2
+    counts = world.status().frames
+    assert world.heard_sums == counts.accepted + counts.late + counts.duplicate + counts.malformed
+    for wire in world.wires:
+        assert isinstance(wire, BusWire)
+        sent = wire.bus.counts
+        assert sent.accepted == sent.transmitted + sent.discarded
