@@ -82,7 +82,7 @@ class SkinOptions:
         if given is None and is_recording(recording):
             given = recording
         if given is None and (needs_hub or self.connect or self.skin):
-            return hub_layout(self.endpoint, self.skin, stop)
+            return hub_layout(self.endpoint, self.skin, stop, patience_s=PATIENCE_S)
         layout = load_layout(given)
         if self.skin not in {None, layout.name}:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
