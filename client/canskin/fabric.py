@@ -203,6 +203,11 @@ class Fabric:
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
         self._holder = None if hub else checked(endpoint, keys)[1]
         if hub:
+            if checked(endpoint, keys)[1] is not None:
+                raise BusError(
+                    f"cannot listen on {endpoint} with keys: only 'skin hub' has the rules of the roles: start it, and"
+                    f" give --connect {endpoint}"
+                )
             self._session = open_hub(endpoint, keys, service=service)
         else:
             self._session = open_client(endpoint, service, stop, patience_s, keys=keys)

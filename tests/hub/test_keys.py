@@ -222,6 +222,12 @@ def test_a_hub_has_keys_of_its_role(authority: Authority) -> None:
     )
 
 
+def test_only_skin_hub_listens_with_keys(authority: Authority) -> None:
+    """A gateway has no rules of the roles."""
+    with pytest.raises(BusError, match="only 'skin hub' has the rules of the roles: start it"):
+        Fabric("palm", "gateway", f"tls/127.0.0.1:{free_port()}", hub=True, keys=Keys(authority.folder / "hub"))
+
+
 def test_a_tare_without_the_right_is_refused_before_a_skin_is_looked_for(
     authority: Authority, monkeypatch: pytest.MonkeyPatch
 ) -> None:
