@@ -12,6 +12,7 @@ from dbc.contract import Contract, NodeContract
 from nodes import command
 from nodes.sampler import Sampler
 from shell import skin_options
+from shell.pulse import Beat
 from shell.service import StopSignal
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 
@@ -46,7 +47,7 @@ class Parts:
             def __init__(self, *given: Any, **named: Any) -> None:
                 parts.service, parts.named = given, named
 
-            def run(self, stop: StopSignal) -> None:
+            def run(self, stop: StopSignal, _beat: Beat) -> None:
                 assert stop is parts.links[1]["stop"]
                 raise KeyboardInterrupt
 
