@@ -63,7 +63,6 @@ class GatewayCalibration:
         self._calibrator = Calibrator(layout, offsets_n=offsets_n, tares=tares, say=lambda text: say("gateway", text))
         self._temperatures = Temperatures(contract, self.take_temperatures) if layout.taxels.has_thermometers else None
         #: Stepped: the newest sums, which hold until others come, and when they are looked at next.
-        self._newest: SteppedMeasurement | None = None
         self._look_s, self._now_s = float("-inf"), 0.0
         self._doubted = DoubtedNodes(contract)
         self._frozen = FrozenBoards(contract, lambda text: say("gateway", text))
@@ -87,9 +86,7 @@ class GatewayCalibration:
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement, stepped ones at the next `tick`; most of it is left to `work`."""
         self._latest = measurement
-        if isinstance(measurement, SteppedMeasurement):
-            self._newest = measurement
-        else:
+        if not isinstance(measurement, SteppedMeasurement):
             self._calibrator.take(measurement)
 
     def take_temperatures(self, kelvin: Floats) -> None:
@@ -125,14 +122,19 @@ class GatewayCalibration:
         if self._keeps is not None:
             self._keeps.keep(self._calibrator.offsets_n)
 
+    def _look(self, masters: Mapping[int, NmtMaster], newest: Measurement, now_s: float) -> None:
+        """Learn from the newest stepped measurement, and find frozen boards."""
+        if isinstance(newest, SteppedMeasurement):
+            self._calibrator.take(msgspec.structs.replace(newest, sampled_mono_ns=round(now_s * 1e9)))
+        if self._frozen.tick(masters, newest, self._calibrator.stands_still, now_s):
+            self._calibrator.leave_out(self._frozen.blocks)
+
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Answer a request, write to nodes, read temperatures; call it many times a second."""
         self._now_s = now_s
-        if self._newest is not None and now_s >= self._look_s:
+        if self._latest is not None and now_s >= self._look_s:
             self._look_s = now_s + LOOK_S
-            self._calibrator.take(msgspec.structs.replace(self._newest, sampled_mono_ns=round(now_s * 1e9)))
-        if self._latest is not None and self._frozen.tick(masters, self._latest, self._calibrator.stands_still, now_s):
-            self._calibrator.leave_out(self._frozen.blocks)
+            self._look(masters, self._latest, now_s)
         if self._keeps is not None:
             self._keeps.tick(self._calibrator.offsets_n, now_s)
         if self._temperatures is not None:

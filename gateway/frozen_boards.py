@@ -78,7 +78,7 @@ class FrozenBoards:
         return {node.node_id: FROZEN for node in frozen if node.bus == bus}
 
     def tick(self, masters: Mapping[int, NmtMaster], newest: Measurement, stands_still: Bools, now_s: float) -> bool:
-        """Look at the boards; return whether others are frozen now. Call it many times a second.
+        """Look at the boards; return whether others are frozen now. Call it some times a second.
 
         Parameters
         ----------
