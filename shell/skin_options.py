@@ -17,7 +17,7 @@ from canskin.fabric import Fabric
 from canskin.keys import environment_keys
 from canskin.peers import GATEWAYS, Peer
 from canskin.roles import Action, refusal
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_open
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -159,6 +159,17 @@ def check_listen(endpoint: str, *, insecure: bool) -> None:
         raise InputError(
             f"--listen {endpoint}: everybody on that network could read the skin, tare it and send false images:"
             " expected tls/… and --keys FOLDER, an address of loopback, or --insecure"
+        )
+
+
+def check_host(given: str, host: str, may: str, *, insecure: bool) -> None:
+    """Raise InputError if `host`, from what was `given`, is of a network, and that is not asked for.
+
+    `may` is what everybody there could do.
+    """
+    if not insecure and not is_loopback(host):
+        raise InputError(
+            f"{given}: everybody on that network could {may}: expected an address of loopback, or --insecure"
         )
 
 

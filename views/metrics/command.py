@@ -3,12 +3,11 @@
 from contextlib import closing
 from typing import Final
 
-from canskin.errors import InputError
-from canskin.session import DEFAULT_ENDPOINT, is_loopback
+from canskin.session import DEFAULT_ENDPOINT
 from shell.extras import not_installed
 from shell.pulse import Pulse
 from shell.service import StopSignal, listen, say
-from shell.skin_options import Insecure
+from shell.skin_options import Insecure, check_host
 
 #: Beside those of ``skin view`` and ``skin show --foxglove``.
 PORT: Final = 8767
@@ -56,11 +55,7 @@ def metrics(
         raise not_installed("skin metrics needs prometheus_client", "metrics") from error
     from views.metrics.skin_figures import SERVICE
 
-    if not insecure and not is_loopback(host):
-        raise InputError(
-            f"--host {host}: everybody on that network could read the figures: expected an address of loopback, or"
-            " --insecure"
-        )
+    check_host(f"--host {host}", host, "read the figures", insecure=insecure)
     pulse = Pulse(StopSignal().install())
     exporter, registry = Exporter(connect, expect), CollectorRegistry()
     registry.register(exporter)

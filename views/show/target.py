@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from canskin.errors import InputError
-from canskin.session import HIGHEST_PORT, is_loopback
+from canskin.session import HIGHEST_PORT
 from shell.output import check_new_path
+from shell.skin_options import check_host
 
 LOOPBACK: Final = "127.0.0.1"
 #: Foxglove's own default, 8765, is that of ``skin view``.
@@ -46,10 +47,8 @@ def foxglove_target(text: str, *, insecure: bool = False) -> Address | Path:
     if "://" in text:
         raise InputError(f"{text}: expected the HOST:PORT of a server, such as {LOOPBACK}:{FOXGLOVE_PORT}")
     found = _address_or_file(text, ".mcap")
-    if isinstance(found, Address) and not insecure and not is_loopback(found.host.strip("[]")):
-        raise InputError(
-            f"{text}: everybody on that network could see the skin: expected an address of loopback, or --insecure"
-        )
+    if isinstance(found, Address):
+        check_host(text, found.host.strip("[]"), "see the skin", insecure=insecure)
     return found
 
 
