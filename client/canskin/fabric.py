@@ -9,19 +9,19 @@ import math
 import re
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from itertools import count
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 import zenoh
 
 from canskin.errors import UNDECODABLE, BusError, DeniedError, tell
 from canskin.keys import Keys, environment_keys
-from canskin.messages import Topic
+from canskin.messages import IMAGE, MEASUREMENT, Topic
 from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
 from canskin.roles import Action, refusal
@@ -34,6 +34,10 @@ Reply = Callable[[msgspec.Struct], None]
 Unread = Callable[[], Any]
 #: Longest wait for the other of two gateways that started at once to leave.
 SETTLED_S: Final = 1.0
+#: Messages that pass between services of one process as they are: nobody can change them, their arrays are bytes.
+_HANDED_OVER: Final = (MEASUREMENT, IMAGE)
+#: Most messages of this process that wait for a reader with a callback.
+_WAITING_MAX: Final = 256
 #: Most publishers and topics whose losses are counted, and most differences of other services that are logged.
 _PUBLISHERS_MAX: Final = 1000
 _DIFFERENCES_MAX: Final = 100
@@ -135,6 +139,43 @@ class Exchange(Protocol):
         ...
 
 
+class Shared:
+    """What the services of one process share, see `Fabric.shared`: a session, and readers that need no session.
+
+    Attributes
+    ----------
+    session : zenoh.Session or None
+        Open from the first of the services to the last.
+    readers : dict of str to list of callable
+        By key: what is called with each message that a service of this process publishes, and with its origin.
+    """
+
+    def __init__(self) -> None:
+        self.session: Any = None
+        self.readers: defaultdict[str, list[Callable[[Any, Origin], None]]] = defaultdict(list)
+        self._lock = threading.Lock()
+        self._services = 0
+
+    def enter(self, open_session: Callable[[], Any]) -> Any:
+        """Return the session for one more service."""
+        session = open_session() if self.session is None else self.session
+        with self._lock:
+            if self.session is None:
+                self.session = session
+            self._services += 1
+        if session is not self.session:  # another has opened one meanwhile
+            session.close()
+        return self.session
+
+    def leave(self) -> None:
+        """Close the session after its last service."""
+        with self._lock:
+            self._services -= 1
+            if self._services == 0:
+                self.session.close()
+                self.session = None
+
+
 class Fabric:
     """Connection of one service to the other services.
 
@@ -167,6 +208,9 @@ class Fabric:
         Messages and requests that could not be decoded.
     missed : Missed
         Messages that did not come: this program, or its connection, was too slow.
+    shared : Shared or None
+        Of a process with several services, which sets it before the first of them is connected, and gives all of them
+        the same endpoint and keys. A service without a name has a session of its own there, too.
 
     Raises
     ------
@@ -174,6 +218,8 @@ class Fabric:
         If the endpoint cannot be used, the hub refuses, no hub answered in time, this is a second gateway of its skin,
         or the role of the keys has another service. Later actions raise it, too, where the role may not do them.
     """
+
+    shared: ClassVar[Shared | None] = None
 
     def __init__(
         self,
@@ -188,6 +234,7 @@ class Fabric:
         keys: Keys | None = None,
         prepare: "Callable[[Fabric], None]" = lambda _: None,
     ) -> None:
+        self._shared = self.shared if service else None
         self.malformed = 0
         self.missed = Missed()
         self._peer = new_peer(skin, service, fingerprint)
@@ -199,6 +246,8 @@ class Fabric:
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         self._mailboxes: list[Mailbox[Any]] = []
+        self._own_readers: list[tuple[str, Callable[[Any, Origin], None]]] = []
+        self._waiting: Mailbox[Any] | None = None
         keys = keys or environment_keys()
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
         self._holder = None if hub else checked(endpoint, keys)[1]
@@ -208,20 +257,22 @@ class Fabric:
                     f"cannot listen on {endpoint} with keys: only 'skin hub' has the rules of the roles: start it, and"
                     f" give --connect {endpoint}"
                 )
-            self._session = open_hub(endpoint, keys, service=service)
+            open_session = partial(open_hub, endpoint, keys, service=service)
         else:
-            self._session = open_client(endpoint, service, stop, patience_s, keys=keys)
+            open_session = partial(open_client, endpoint, service, stop, patience_s, keys=keys)
+        self._closed = threading.Event()
+        self._token: Any = None
+        self._session = open_session() if self._shared is None else self._shared.enter(open_session)
         try:
             if service:
                 self.require_right("appear", service)
             self._require_alone(0.0)
             prepare(self)
-            self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
+            self._token = self._session.liveliness().declare_token(self._peer.key) if service else None
             self._require_alone(SETTLED_S)
         except BaseException:
-            self._session.close()
+            self.close()
             raise
-        self._closed = threading.Event()
         if keys is not None and service:
             keys.watch_end(service, self._closed)
         if fingerprint:
@@ -255,11 +306,17 @@ class Fabric:
             self.require_right("put", topic.name)
             # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
             key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
-            publisher = self._session.declare_publisher(key, congestion_control=control)
+            where = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
+            publisher = self._session.declare_publisher(key, congestion_control=control, allowed_destination=where)
             self._numbers[topic.name] = count(1)
             self._publishers[topic.name] = publisher
-        mark = f"{self._peer.instance}-{next(self._numbers[topic.name])}"
-        publisher.put(self._encoder.encode(message), attachment=mark)
+        origin = Origin(self._peer.instance, next(self._numbers[topic.name]))
+        content = self._encoder.encode(message)
+        publisher.put(content, attachment=f"{origin.publisher}-{origin.number}")
+        if self._shared is not None:
+            handed_over = message if topic in _HANDED_OVER else content
+            for read in [*self._shared.readers[f"{self._prefix}/{topic.name}"]]:  # others may come and go
+                read(handed_over, origin)
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
@@ -277,16 +334,20 @@ class Fabric:
         `malformed` counts a message that cannot be decoded when somebody reads it.
         """
         decode = self._decoder(topic)
-        self._receive(topic, lambda sample: handler(partial(decode, sample.payload.to_bytes())))
+        self._receive(topic, lambda content, _origin: handler(partial(decode, content)))
 
     def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes, Origin | None], None]) -> None:
         """Call `handler` with the bytes of every message of `topic`, not decoded, and its origin, if it tells one."""
-        self._receive(topic, lambda sample: handler(sample.payload.to_bytes(), _origin_of(sample.attachment)))
+
+        def receive(content: Any, origin: Origin | None) -> None:
+            handler(content if isinstance(content, bytes) else msgspec.msgpack.encode(content), origin)
+
+        self._receive(topic, receive)
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
         """Return a mailbox that holds the newest `depth` messages of `topic`."""
         mailbox: Mailbox[Any] = Mailbox(depth, self._decoder(topic))
-        self._receive(topic, lambda sample: mailbox.put(sample.payload.to_bytes()))
+        self._receive(topic, lambda content, _origin: mailbox.put(content), is_quick=True)
         if depth > 1:
             self._mailboxes.append(mailbox)
         return mailbox
@@ -373,7 +434,16 @@ class Fabric:
     def close(self) -> None:
         """Close the connection after all published messages are sent."""
         self._closed.set()
-        self._session.close()
+        if self._shared is None:
+            self._session.close()
+            return
+        for key, read in self._own_readers:
+            self._shared.readers[key].remove(read)
+        if self._waiting is not None:
+            self._waiting.put(lambda: None)  # the thread looks whether to end
+        for each in (*self._kept, *self._publishers.values(), *filter(None, [self._token])):
+            each.undeclare()
+        self._shared.leave()
 
     def require_right(self, action: Action, name: str) -> None:
         """Raise DeniedError if the hub will not let the holder of these keys do an action: zenoh says nothing."""
@@ -402,24 +472,52 @@ class Fabric:
                 )
             time.sleep(LOOK_S)
 
-    def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
+    def _receive(self, topic: Topic, receive: Callable[[Any, Origin | None], None], *, is_quick: bool = False) -> None:
+        """Call `receive` with the bytes of every message and its origin; of this process, with the message itself.
+
+        A message of this process comes in the thread that publishes where `receive` is quick, else in another: a
+        publisher, such as the gateway, waits for no reader.
+        """
         self.require_right("subscribe", topic.name)
 
         def note(sample: Any) -> None:
             origin = _origin_of(sample.attachment)
             if origin is not None:
                 self.missed.take(topic.name, origin)
-            receive(sample)
+            receive(sample.payload.to_bytes(), origin)
 
-        self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", note))
+        key = f"{self._prefix}/{topic.name}"
+        where = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
+        self._kept.append(self._session.declare_subscriber(key, note, allowed_origin=where))
+        if self._shared is not None:
+            read = receive if is_quick else self._queued(receive)
+            self._own_readers.append((key, read))
+            self._shared.readers[key].append(read)
+
+    def _queued(self, receive: Callable[[Any, Origin], None]) -> Callable[[Any, Origin], None]:
+        """Return what has `receive` called in a thread of this connection."""
+        if self._waiting is None:
+            self._waiting = Mailbox(_WAITING_MAX)
+            self._mailboxes.append(self._waiting)
+            threading.Thread(target=self._hand_over, args=(self._waiting,), name=f"to {self.service}").start()
+        waiting = self._waiting
+        return lambda content, origin: waiting.put(partial(receive, content, origin))
+
+    def _hand_over(self, waiting: Mailbox[Any]) -> None:
+        while not self._closed.is_set():
+            if (read := waiting.get()) is not None:
+                read()
 
     def _decoder(self, topic: Topic) -> Callable[[bytes], Any]:
-        """Return what decodes a message of `topic`, or returns None and counts it in `malformed`."""
+        """Return what decodes a message of `topic`, or returns None and counts it in `malformed`.
+
+        A message that was handed over stays as it is.
+        """
         decode = topic.decoder()
 
-        def decode_or_count(content: bytes) -> Any:
+        def decode_or_count(content: Any) -> Any:
             try:
-                return decode(content)
+                return decode(content) if isinstance(content, bytes) else content
             except UNDECODABLE:
                 self.malformed += 1
                 return None
