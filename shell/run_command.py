@@ -56,20 +56,21 @@ def run(
         raise InputError("--listen: expected a gateway among the services, and no --connect")
     ended: SimpleQueue[None] = SimpleQueue()  # unlike an event or a queue, a signal may set it at any time
     services = [ServiceThread(verb, serve[verb], partial(ended.put, None)) for verb in SERVICES if verb in serve]
-    WATCHDOG.services = set(serve)
-    Fabric.shared = Shared()
+    WATCHDOG.services, shared = set(serve), Shared()
+    Fabric.shared = shared
     StopSignal().install(partial(ended.put, None))
     try:
         for service in services:
             if ended.empty():
                 service.start()
-            while has_hub and Fabric.shared.session is None and ended.empty():
+            while has_hub and shared.session is None and ended.empty():
                 time.sleep(LOOK_S)  # the others use the session of the hub
         ended.get()
     finally:
         for service in filter(ServiceThread.is_alive, services):
             service.stop.set()
             service.join()
+        WATCHDOG.services, Fabric.shared = set(), None
     for service in services:
         if service.error is not None:
             raise service.error
