@@ -6,7 +6,6 @@ that cannot be decoded raise no error; `Fabric.malformed` counts them.
 
 import logging
 import math
-import re
 import threading
 import time
 from collections import Counter, defaultdict, deque
@@ -34,6 +33,12 @@ Reply = Callable[[msgspec.Struct], None]
 Unread = Callable[[], Any]
 #: Longest wait for the other of two gateways that started at once to leave.
 SETTLED_S: Final = 1.0
+#: A younger publisher sends without knowing of a reader: the hub has to tell it first of those that are there.
+FRESH_S: Final = 1.0
+#: Whoever waits at a mailbox looks this often whether the wait is over.
+WAKE_S: Final = 0.1
+#: Least number of samples that zenoh keeps for the reader of a mailbox, who counts those that are missing.
+_KEPT_MIN: Final = 64
 #: Messages that pass between services of one process as they are: nobody can change them, their arrays are bytes.
 _HANDED_OVER: Final = (MEASUREMENT, IMAGE)
 #: Most messages of this process that wait for a reader with a callback.
@@ -56,6 +61,19 @@ class Origin(NamedTuple):
 
     publisher: str
     number: int
+
+
+class _Publisher(NamedTuple):
+    """Sends the messages of a topic; `wire` is zenoh's, `readers` are those of this process."""
+
+    wire: Any
+    numbers: "count[int]"
+    fresh_until_s: float
+    readers: "list[Reader]"
+
+
+#: Is called with the bytes of a message, or with a message that is handed over, and with its origin.
+Reader = Callable[[Any, Origin], None]
 
 
 class Missed:
@@ -117,14 +135,62 @@ class Mailbox(Generic[Message]):
     def get(self, timeout_s: float | None = None) -> Message | None:
         """Return the oldest waiting message, or None if no message came within `timeout_s`."""
         while True:
-            with suppress(IndexError):
-                message = self._decode(self._waiting.popleft())
-                if message is None:
-                    continue
+            if (message := self._next()) is not None:
                 return message
             # The lock may have been opened for a message that was taken without waiting: look again.
             if not self._arrived.acquire(timeout=-1 if timeout_s is None else timeout_s):
                 return None
+
+    def _next(self) -> Message | None:
+        while self._waiting:
+            if (message := self._decode(self._waiting.popleft())) is not None:
+                return message
+        return None
+
+
+class _RingMailbox(Mailbox[Message]):
+    """A mailbox that zenoh fills without the interpreter's lock: messages are seen when the reader looks.
+
+    Parameters
+    ----------
+    ring : zenoh.handlers.Handler
+        The samples that have come.
+    is_message : callable
+        Counts what is missing before a sample, and tells whether the sample is a message.
+    wake : callable
+        Called once, before the first wait: from then on a sample that is no message comes every `WAKE_S`.
+    """
+
+    def __init__(
+        self,
+        depth: int,
+        decode: Callable[[Any], Message | None],
+        ring: Any,
+        is_message: Callable[[Any], bool],
+        wake: Callable[[], None],
+    ) -> None:
+        super().__init__(depth, decode)
+        self._ring, self._is_message, self._wake = ring, is_message, wake
+        self._is_woken = False
+
+    def get(self, timeout_s: float | None = None) -> Message | None:
+        """See `Mailbox.get`."""
+        until_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        with suppress(zenoh.ZError):  # the connection is closed
+            while True:
+                while (sample := self._ring.try_recv()) is not None:
+                    self._put(sample)
+                if (message := self._next()) is not None or time.monotonic() >= until_s:
+                    return message
+                if not self._is_woken:
+                    self._is_woken = True
+                    self._wake()
+                self._put(self._ring.recv())
+        return None
+
+    def _put(self, sample: Any) -> None:
+        if self._is_message(sample):
+            self.put(sample.payload)
 
 
 class Exchange(Protocol):
@@ -152,7 +218,7 @@ class Shared:
 
     def __init__(self) -> None:
         self.session: Any = None
-        self.readers: defaultdict[str, list[Callable[[Any, Origin], None]]] = defaultdict(list)
+        self.readers: defaultdict[str, list[Reader]] = defaultdict(list)
         self._lock = threading.Lock()
         self._services = 0
 
@@ -242,11 +308,10 @@ class Fabric:
         self._others = Roll()
         self._prefix = f"canskin/{skin}"
         self._encoder = msgspec.msgpack.Encoder()
-        self._publishers: dict[str, Any] = {}
-        self._numbers: dict[str, count[int]] = {}
+        self._publishers: dict[str, _Publisher] = {}
         self._kept: list[Any] = []
         self._mailboxes: list[Mailbox[Any]] = []
-        self._own_readers: list[tuple[str, Callable[[Any, Origin], None]]] = []
+        self._own_readers: list[tuple[list[Reader], Reader]] = []
         self._waiting: Mailbox[Any] | None = None
         keys = keys or environment_keys()
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
@@ -262,6 +327,7 @@ class Fabric:
             open_session = partial(open_client, endpoint, service, stop, patience_s, keys=keys)
         self._closed = threading.Event()
         self._token: Any = None
+        self._elsewhere = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
         self._session = open_session() if self._shared is None else self._shared.enter(open_session)
         try:
             if service:
@@ -300,23 +366,20 @@ class Fabric:
         before.undeclare()
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages."""
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            self.require_right("put", topic.name)
-            # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
-            key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
-            where = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
-            publisher = self._session.declare_publisher(key, congestion_control=control, allowed_destination=where)
-            self._numbers[topic.name] = count(1)
-            self._publishers[topic.name] = publisher
-        origin = Origin(self._peer.instance, next(self._numbers[topic.name]))
-        content = self._encoder.encode(message)
-        publisher.put(content, attachment=f"{origin.publisher}-{origin.number}")
-        if self._shared is not None:
-            handed_over = message if topic in _HANDED_OVER else content
-            for read in [*self._shared.readers[f"{self._prefix}/{topic.name}"]]:  # others may come and go
-                read(handed_over, origin)
+        """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages.
+
+        A message is encoded and sent only where somebody reads the topic. It has a number all the same: readers whose
+        connection was lost count it as missed.
+        """
+        publisher = self._publishers.get(topic.name) or self._new_publisher(topic)
+        origin = Origin(self._peer.instance, next(publisher.numbers))
+        is_sent = publisher.wire.matching_status.matching or time.monotonic() < publisher.fresh_until_s
+        is_handed_over = topic in _HANDED_OVER
+        content = self._encoder.encode(message) if is_sent or (publisher.readers and not is_handed_over) else b""
+        if is_sent:
+            publisher.wire.put(content, attachment=f"{origin.publisher}-{origin.number}")
+        for read in [*publisher.readers]:  # others may come and go
+            read(message if is_handed_over else content, origin)
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
@@ -345,9 +408,18 @@ class Fabric:
         self._receive(topic, receive)
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
-        """Return a mailbox that holds the newest `depth` messages of `topic`."""
-        mailbox: Mailbox[Any] = Mailbox(depth, self._decoder(topic))
-        self._receive(topic, lambda content, _origin: mailbox.put(content), is_quick=True)
+        """Return a mailbox that holds the newest `depth` messages of `topic`, for one thread."""
+        decode = self._decoder(topic)
+        mailbox: Mailbox[Any] = Mailbox(depth, decode)
+        if self._shared is not None:
+            put = mailbox.put
+            self._receive(topic, lambda content, _origin: put(content), is_quick=True)
+        else:
+            ring = self._subscribe(topic, zenoh.handlers.RingChannel(max(depth, _KEPT_MIN)))
+            wake = threading.Thread(target=self._wake, args=(topic,), name="mailbox").start
+            mailbox = _RingMailbox(
+                depth, lambda payload: decode(payload.to_bytes()), ring, partial(self._is_message, topic), wake
+            )
         if depth > 1:
             self._mailboxes.append(mailbox)
         return mailbox
@@ -437,12 +509,13 @@ class Fabric:
         if self._shared is None:
             self._session.close()
             return
-        for key, read in self._own_readers:
-            self._shared.readers[key].remove(read)
+        for readers, read in self._own_readers:
+            readers.remove(read)
         if self._waiting is not None:
             self._waiting.put(lambda: None)  # the thread looks whether to end
-        for each in (*self._kept, *self._publishers.values(), *filter(None, [self._token])):
-            each.undeclare()
+        for each in (*self._kept, *(publisher.wire for publisher in self._publishers.values()), self._token):
+            if each is not None:
+                each.undeclare()
         self._shared.leave()
 
     def require_right(self, action: Action, name: str) -> None:
@@ -472,29 +545,43 @@ class Fabric:
                 )
             time.sleep(LOOK_S)
 
+    def _new_publisher(self, topic: Topic) -> "_Publisher":
+        self.require_right("put", topic.name)
+        # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
+        key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
+        wire = self._session.declare_publisher(key, congestion_control=control, allowed_destination=self._elsewhere)
+        readers = [] if self._shared is None else self._shared.readers[key]
+        publisher = _Publisher(wire, count(1), time.monotonic() + FRESH_S, readers)
+        self._publishers[topic.name] = publisher
+        return publisher
+
+    def _subscribe(self, topic: Topic, handler: Any) -> Any:
+        self.require_right("subscribe", topic.name)
+        subscriber = self._session.declare_subscriber(
+            f"{self._prefix}/{topic.name}", handler, allowed_origin=self._elsewhere
+        )
+        self._kept.append(subscriber)
+        return subscriber.handler
+
     def _receive(self, topic: Topic, receive: Callable[[Any, Origin | None], None], *, is_quick: bool = False) -> None:
         """Call `receive` with the bytes of every message and its origin; of this process, with the message itself.
 
         A message of this process comes in the thread that publishes where `receive` is quick, else in another: a
         publisher, such as the gateway, waits for no reader.
         """
-        self.require_right("subscribe", topic.name)
 
-        def note(sample: Any) -> None:
-            origin = _origin_of(sample.attachment)
-            if origin is not None:
-                self.missed.take(topic.name, origin)
-            receive(sample.payload.to_bytes(), origin)
+        def take(sample: Any) -> None:
+            origin = self._note(topic, sample)
+            if len(sample.payload) > 0:
+                receive(sample.payload.to_bytes(), origin)
 
-        key = f"{self._prefix}/{topic.name}"
-        where = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
-        self._kept.append(self._session.declare_subscriber(key, note, allowed_origin=where))
+        self._subscribe(topic, take)
         if self._shared is not None:
-            read = receive if is_quick else self._queued(receive)
-            self._own_readers.append((key, read))
-            self._shared.readers[key].append(read)
+            own = self._shared.readers[f"{self._prefix}/{topic.name}"], receive if is_quick else self._queued(receive)
+            self._own_readers.append(own)
+            own[0].append(own[1])
 
-    def _queued(self, receive: Callable[[Any, Origin], None]) -> Callable[[Any, Origin], None]:
+    def _queued(self, receive: Reader) -> Reader:
         """Return what has `receive` called in a thread of this connection."""
         if self._waiting is None:
             self._waiting = Mailbox(_WAITING_MAX)
@@ -507,6 +594,25 @@ class Fabric:
         while not self._closed.is_set():
             if (read := waiting.get()) is not None:
                 read()
+
+    def _note(self, topic: Topic, sample: Any) -> Origin | None:
+        """Count what is missing before a sample, and return its origin."""
+        origin = _origin_of(sample.attachment)
+        if origin is not None:
+            self.missed.take(topic.name, origin)
+        return origin
+
+    def _is_message(self, topic: Topic, sample: Any) -> bool:
+        """Count what is missing before a sample; tell whether the sample is more than that of `_wake`."""
+        self._note(topic, sample)
+        return len(sample.payload) > 0
+
+    def _wake(self, topic: Topic) -> None:
+        """Send whoever waits for messages of a topic in this process an empty sample: a wait of zenoh has no end."""
+        while threading.main_thread().is_alive() and not self._closed.wait(WAKE_S):
+            with suppress(zenoh.ZError):  # the connection is closed now
+                here = zenoh.Locality.SESSION_LOCAL
+                self._session.put(f"{self._prefix}/{topic.name}", b"", allowed_destination=here)
 
     def _decoder(self, topic: Topic) -> Callable[[bytes], Any]:
         """Return what decodes a message of `topic`, or returns None and counts it in `malformed`.
@@ -540,5 +646,6 @@ def _origin_of(attachment: Any) -> Origin | None:
     """Return what an attachment tells; other programs attach nothing, or something else."""
     if attachment is None:
         return None
-    told = re.fullmatch(rb"(\w{1,64})-(\d{1,18})", attachment.to_bytes())
-    return None if told is None else Origin(told[1].decode(), int(told[2]))
+    publisher, _, number = attachment.to_bytes().partition(b"-")
+    is_told = publisher.isalnum() and len(publisher) <= 64 and number.isdigit() and len(number) <= 18
+    return Origin(publisher.decode(), int(number)) if is_told else None

@@ -44,7 +44,7 @@ def test_a_skin_in_one_process_gives_each_message_once_and_ends_in_order(chain: 
     assert len({status.instance for status in statuses.values()}) == len(statuses)
     process = chain.supervisor.children["run"].process
     process.send_signal(signal.SIGTERM)
-    chain.until("all gone", lambda: chain.alive == {"nodes"})
+    chain.until("all gone", lambda: chain.alive.isdisjoint(ALL))
     assert process.wait(60) == 0, chain.supervisor.children["run"].log.read_text()
     for made in ([each.number for each in chain.images], [each.number for each in chain.labels]):
         assert set(np.diff(made)) == {1}
