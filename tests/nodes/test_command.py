@@ -11,6 +11,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
 from nodes import command
 from nodes.sampler import Sampler
+from nodes.service import wait_on_sockets
 from shell import skin_options
 from shell.pulse import Beat
 from shell.service import StopSignal
@@ -51,6 +52,7 @@ class Parts:
                 assert stop is parts.links[1]["stop"]
                 raise KeyboardInterrupt
 
+        monkeypatch.setattr(command, "serve_buses", lambda *_: None)
         monkeypatch.setattr(command, "open_links", open_links)
         monkeypatch.setattr(skin_options, "Fabric", fabric)
         monkeypatch.setattr(command, "NodesService", Service)
@@ -78,7 +80,7 @@ def test_chosen_nodes_join_their_buses_and_the_fabric(
     assert parts.fabric[0] == (contract.layout.name, "nodes", "tcp/far:7")
     assert parts.fabric[1]["fingerprint"] == contract.phi.fingerprint
     assert parts.service[2] == {1: {2}, 3: {1, 2}}
-    assert parts.named == {"store": store, "unnumbered": False, "firmware": None}
+    assert parts.named == {"store": store, "unnumbered": False, "firmware": None, "wait": wait_on_sockets}
     assert store.is_dir()
     assert sorted(parts.closed) == ["bus1", "bus3", "fabric"]
     assert capsys.readouterr().err == "nodes: 3 nodes on 2 buses\n"
