@@ -148,7 +148,7 @@ def test_boards_in_c_are_those_of_the_chosen_nodes_and_get_what_converters_read(
     }
     boards = parts.run(TouchOptions(["cup"]), **options)
     assert compiled == [(parts.service[0], [(0, 1), (0, 2), (0, 4)])]
-    assert parts.named == {"store": None, "unnumbered": True, "firmware": "compiled"}
+    assert parts.named == {"store": None, "unnumbered": True, "firmware": "compiled", "wait": wait_on_sockets}
     assert boards.sample(1, 0).shape == shape
 
 
