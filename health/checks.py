@@ -55,9 +55,8 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
                 numbers += [bus.load_ratio, bus.mean_load_ratio, *chain(*bus.answer_s, *bus.heartbeat_s)]
             has_states = all(len(bus.nmt) == len(bus.nodes) for bus in message.buses)
             return has_states and all(map(math.isfinite, numbers))
-        case ServiceStatus():
-            return math.isfinite(message.processor_s)
-    return not isinstance(message, Mark) or is_label(message.label)
+    is_finite = not isinstance(message, ServiceStatus) or math.isfinite(message.processor_s)
+    return is_finite and (not isinstance(message, Mark) or is_label(message.label))
 
 
 def _contact_fits(contact: Contact, layout: Layout) -> bool:
