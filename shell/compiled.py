@@ -199,7 +199,7 @@ def njit(signature: Any = None, *, cache: bool = False, **options: Any) -> Calla
             kernel.disable_compile()  # from now on arguments are converted
             return entry
 
-        kernel._compile_for_args = compile_signature  # noqa: SLF001  what Numba calls at a first call
+        kernel._compile_for_args = compile_signature  # type: ignore[attr-defined]  # noqa: SLF001  what a first call calls
         return kernel
 
     return compile_kernel
