@@ -140,9 +140,9 @@ def test_a_program_is_told_its_role_what_it_may_not_and_who_may(hub: Hub) -> Non
             lambda: fabric.ask(CALIBRATION, tare_request(1, 1), PATIENCE_S),
             lambda: fabric.answer(CALIBRATION, lambda _request, _reply: None),
         ):
-            with pytest.raises(BusError, match=r"role 'viewer' may not .*, .*'(operator|gateway)' may: see 'skin keys"):
+            with pytest.raises(BusError, match=r"role 'viewer' may not .*, .*'(operator|run)' may: see 'skin keys"):
                 refused()
-    with pytest.raises(BusError, match="may not subscribe 'truth', 'viewer', 'recorder', 'operator' may"):
+    with pytest.raises(BusError, match="may not subscribe 'truth', 'run', 'viewer', 'recorder', 'operator' may"):
         Fabric(
             "palm",
             "client",
