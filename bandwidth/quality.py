@@ -211,7 +211,7 @@ def _steps(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Mome
     for step in range(steps):
         for bus, (frames, parts) in enumerate(buses):
             batch = batch_of(frames[slice(*parts[step])], bus, contract.parts)
-            take_all(batch, known)
+            take_all(batch, held)
         true_n = source.frame(step).force_n.ravel()
         sensor_n = to_counts(sense(true_n, rng, NOISE_N, taxels.force_max_n), taxels) * taxels.newton_per_count
         known = np.concatenate([part[:held] for part, held in zip(sums.known, contract.parts.form[:, 0], strict=True)])
