@@ -18,9 +18,9 @@ import canskin
 from calibration.command import tare
 from canskin.errors import BusError, DeniedError, InputError
 from canskin.fabric import Fabric
-from canskin.keys import ANSWER_S, Keys, reason
+from canskin.keys import ANSWER_S, UNIX, Keys, reason
 from canskin.peers import Peer
-from canskin.session import DEFAULT_ENDPOINT, UNIX, open_client, open_hub, peers_at
+from canskin.session import DEFAULT_ENDPOINT, open_client, open_hub, peers_at
 from hub.authority import Authority
 from shell.command import build_app
 from shell.skin_options import SkinOptions
