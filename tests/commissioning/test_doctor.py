@@ -14,12 +14,15 @@ from typing import Any
 import pytest
 
 from bus.interface import Interface, Timing
+from bus.options import BusOptions
 from canskin.errors import BusError
 from canskin.fabric import Fabric
+from canskin.keys import UNIX
 from canskin.messages import GATEWAY, IMAGE, Fault, GatewayStatus, NodeFault
 from commissioning import doctor_command
 from health.alive import trouble
 from health.causes import Cause
+from shell.skin_options import SkinOptions
 from skin.layout import parse_layout
 from tests.bus.harness import interface, serving
 from tests.layouts import SHIPPED, buses, layout_toml
@@ -180,16 +183,18 @@ def test_a_hub_without_gateway_is_an_error_and_a_gateway_that_hangs_too(
 
 
 def test_a_hub_that_hangs_is_to_be_ended_and_nobody_guesses_which_skin_it_has(
-    examined: Callable[..., tuple[int, Findings]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(doctor_command, "_host", lambda _: [])
     monkeypatch.setattr(doctor_command, "_look_at_buses", lambda *_: pytest.fail("they may be those of who hangs"))
     with closing(socket.socket(socket.AF_UNIX)) as hung:
         hung.bind(str(tmp_path / "hub"))
         hung.listen()
-        code, found = examined("--connect", f"unixsock-stream/{tmp_path / 'hub'}")
-    assert (code, list(found)) == (1, ["hub-away"])
-    assert "does not answer: it hangs" in found["hub-away"]["text"]
-    assert "kill -9" in found["hub-away"]["mend"]
+        of = SkinOptions(connect=f"{UNIX}/{tmp_path / 'hub'}")
+        _, (found,) = doctor_command.examine(of, BusOptions())
+    assert (found.code, found.level) == ("hub-away", "error")
+    assert "does not answer: it hangs" in found.text
+    assert "kill -9" in found.mend
 
 
 @pytest.mark.parametrize(
