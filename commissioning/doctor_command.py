@@ -17,12 +17,8 @@ from bus.link import ARBITRATED, SOCKETCAN, Link
 from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import BusError, DeniedError, InputError
 from canskin.fabric import Fabric
-<<<<<<< HEAD
 from canskin.keys import accepts, environment_keys
-=======
-from canskin.keys import environment_keys
 from canskin.messages import GATEWAY, GatewayStatus
->>>>>>> next
 from canskin.peers import Peer
 from canskin.session import checked, peers_at
 from commissioning.bus_look import BusLook
@@ -122,16 +118,10 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
             look, told = None, list[GatewayStatus]()
             if not found:  # there is a hub
                 fabric = Fabric(skin.name, "", of.endpoint, patience_s=PATIENCE_S)
-<<<<<<< HEAD
-                look = HubLook(skin, stack.enter_context(closing(fabric)))
-            if not has_gateway:  # a gateway does not start without its buses: they come first
-                found = _look_at_buses(contract, of, can, names) + found
-=======
                 look = Watched(skin, stack.enter_context(closing(fabric)))
                 fabric.subscribe(GATEWAY, told.append)
-            if not has_gateway:
-                found += _look_at_buses(contract, can, names)
->>>>>>> next
+            if not has_gateway:  # a gateway does not start without its buses: they come first
+                found = _look_at_buses(contract, of, can, names) + found
             else:
                 if can.interface == SOCKETCAN and can.channel:
                     found += [each for pair in zip(names, skin.bus, strict=True) for each in _differences(*pair)]

@@ -13,12 +13,8 @@ from canskin.fabric import Fabric
 from canskin.messages import IMAGE, LABEL, MEASUREMENT, TRUTH, NmtState, Topic
 from canskin.peers import GATEWAYS, Peer
 from canskin.session import DEFAULT_ENDPOINT, peers_at
-<<<<<<< HEAD
 from health.causes import Cause
-from health.hub_look import HubLook
-=======
 from health.feed import Watched
->>>>>>> next
 from health.snapshot import Snapshot
 from shell.skin_options import PATIENCE_S, hub_layout, knows_layout
 from shell.terminal import Json, print_json, print_table
