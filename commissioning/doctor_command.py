@@ -8,7 +8,6 @@ from statistics import fmean
 from typing import Final, Literal
 
 import msgspec
-from can import VALID_INTERFACES
 
 from bandwidth.plan import bus_time, cycle_hz, random_bus_time
 from bandwidth.traffic import traffic
@@ -106,6 +105,8 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
     SkinError
         If the options cannot be used, or name no single skin.
     """
+    from can import VALID_INTERFACES
+
     if can.interface not in VALID_INTERFACES:
         known = ", ".join(sorted(VALID_INTERFACES))
         raise InputError(f"expected --interface with one of {known}, got {can.interface!r}")
