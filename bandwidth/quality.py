@@ -201,7 +201,7 @@ def _steps(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Mome
     """Yield what a receiver knows of the sums of stepped boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
     sums = new_sums(contract)
-    known = hold((np.ones(layout.blocks, np.bool_), slots_of(contract), contract.parts, sums))
+    receiver = hold((np.ones(layout.blocks, np.bool_), slots_of(contract), contract.parts, sums))
     step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(seconds * step_rate_hz(layout)), []
     for bus in range(len(layout.bus)):
         frames = heard(layout, touched_frames(contract, bus, source, seconds), seconds)
@@ -211,7 +211,7 @@ def _steps(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Mome
     for step in range(steps):
         for bus, (frames, parts) in enumerate(buses):
             batch = batch_of(frames[slice(*parts[step])], bus, contract.parts)
-            take_all(batch, held)
+            take_all(batch, receiver)
         true_n = source.frame(step).force_n.ravel()
         sensor_n = to_counts(sense(true_n, rng, NOISE_N, taxels.force_max_n), taxels) * taxels.newton_per_count
         known = np.concatenate([part[:held] for part, held in zip(sums.known, contract.parts.form[:, 0], strict=True)])
