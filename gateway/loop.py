@@ -208,6 +208,9 @@ class GatewayLoop:
         sync_ns = round(due_s * 1e9)
         begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns)
         closed = self.gathering.begin(begun)
+        for node in self.gathering.doubled():
+            self.masters[node.bus].nodes[node.node_id].take_twice(now_s)
+            self._trust(self._buses[node.bus])
         sync = sync_frame(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
@@ -314,7 +317,7 @@ class GatewayLoop:
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]
         nodes, wall_s = bus.master.nodes.values(), time.time() - now_s
-        missing, late, twice = zip(*(self.gathering.frames_of(place) for place in bus.places), strict=True)
+        missing, late = zip(*(self.gathering.frames_of(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
             load_ratio=bus.load.take_ratio(now_s),
@@ -323,7 +326,6 @@ class GatewayLoop:
             nmt=bus.master.nmt.tobytes(),
             missing=list(missing),
             late=list(late),
-            twice=list(twice),
             emcy=bus.master.emcy,
             refused=bus.master.refused,
             link=max(state, bus.watch.state).name.lower(),

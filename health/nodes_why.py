@@ -35,6 +35,7 @@ _FAULTS: Final = {
     Fault.BOOTED: "booted again",
     Fault.CHANGED: "doubted",
     Fault.UNPROVEN: "not proven for too long",
+    Fault.TWICE: "there twice",
     Fault.STARTING: "not proven yet",
     Fault.FROZEN: "frozen",
 }
@@ -56,7 +57,7 @@ class Trouble(NamedTuple):
         return NodeTrouble(node, since_time_s, self.evidence or self.word, self.cause.code, self.word)
 
 
-def _trouble(status: GatewayStatus, bus: BusState, place: int, *, twice: bool, loses: bool) -> Trouble | None:
+def _trouble(status: GatewayStatus, bus: BusState, place: int, *, loses: bool) -> Trouble | None:
     """Return what is wrong with the node at a place of a bus, the gravest alone; None if all is well."""
     if bus.link in DEAD_LINKS:
         return Trouble(_LINKS[bus.link], "its bus is down")
@@ -65,8 +66,6 @@ def _trouble(status: GatewayStatus, bus: BusState, place: int, *, twice: bool, l
     emergency = f"EMCY {code:04X}h" if code else ""
     if (fault := _fault(bus, node, nmt)) is not None:
         return trouble_of(fault, nmt, emergency)
-    if twice:
-        return Trouble(Cause.NODE_TWICE, "there twice: each sum comes twice, and differs")
     if 0 < code < DEVICE_EMCY:
         return Trouble(Cause.NODE_EMERGENCY, emergency)
     if late := _late(status, bus, place):
@@ -129,11 +128,9 @@ class Troubles:
         for bus in status.buses:
             known = before.get(bus.name, {})
             for place, node in enumerate(bus.nodes):
-                twice, loses = (
-                    self._grows(counted, (name, bus.name, str(node)), counts[place] if counts else 0, now_s)
-                    for name, counts in (("twice", bus.twice), ("missing", bus.missing))
-                )
-                trouble = _trouble(status, bus, place, twice=twice, loses=loses)
+                missing = bus.missing[place] if bus.missing else 0
+                loses = self._grows(counted, ("missing", bus.name, str(node)), missing, now_s)
+                trouble = _trouble(status, bus, place, loses=loses)
                 if trouble is not None and trouble.cause is not Cause.NODE_LOSES:  # frames are missing because of that
                     del self._counted["missing", bus.name, str(node)]
                 if trouble is not None:

@@ -423,6 +423,7 @@ class Fault(str, Enum):
     BOOTED = "booted"  #: It has booted again.
     CHANGED = "changed"  #: Its configuration has become another, or another master writes there.
     UNPROVEN = "unproven"  #: Its configuration was not proven for too long.
+    TWICE = "twice"  #: Another board sends sums with its node-ID, or has done so a short while ago.
     STARTING = "starting"  #: Its first proof is under way.
     FROZEN = "frozen"  #: Its values stand still while its frames go on.
 
@@ -460,9 +461,8 @@ class BusState(Told, frozen=True, kw_only=True):
         Bus load since SYNC started.
     nmt : bytes
         uint8 per node of the bus: NMT state in the last heartbeat (CiA 301, 7.2.8.3.2), `SILENT` when it is overdue.
-    missing, late, twice : list of int
-        Number of frames per node since the start that did not come in their cycle, that came too late, and that came
-        twice with other sums: two boards have its node-ID.
+    missing, late : list of int
+        Number of frames per node since the start that did not come in their cycle, and that came too late.
     emcy : list of int
         Error code of each node's newest emergency, 0 for none (CiA 301, 7.2.7.1).
     emergencies : list of NodeEmergency
@@ -501,7 +501,6 @@ class BusState(Told, frozen=True, kw_only=True):
     heartbeat_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
     other_sync: str = ""
     emergencies: list[NodeEmergency] = msgspec.field(default_factory=list)
-    twice: list[int] = msgspec.field(default_factory=list)
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
