@@ -180,7 +180,7 @@ class GatewayLoop:
             bus.master.tick(now_s)
             self._trust(bus)
             if bus.master.strangers.tick(now_s):
-                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
+                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words} [other-sync]")
         self.gathering.tick(now_s)
         if self._patience_s is None:
             self._patience_s = now_s + BOOT_PATIENCE_S
@@ -306,12 +306,13 @@ class GatewayLoop:
             self._complain(line)
         for bus in self._buses.values():
             for node_id, code in bus.master.emergencies:
-                self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
+                self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name} [node-emergency]")
             bus.master.emergencies.clear()
             strangers = bus.master.strangers
             if bus.other_syncs:
                 bus.other_syncs, bus.other_sync_s = 0, now_s
-                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}; {strangers.words}")
+                lost = self.gathering.disturbance
+                self._complain(f"another SYNC producer on {bus.name}: {lost}; {strangers.words} [other-sync]")
                 strangers.find_producers(now_s)
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
@@ -332,6 +333,7 @@ class GatewayLoop:
             trouble=bus.watch.trouble,
             overrun=dropped,
             faults=bus.master.faults,
+            out_s={node.contract.node_id: now_s - node.lost_s for node in nodes if node.lost_s is not None},
             answer_s=[node.answer_s.of(now_s) for node in nodes],
             heartbeat_s=[node.heartbeat_s.of(now_s) for node in nodes],
             emergencies=[

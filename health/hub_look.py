@@ -35,16 +35,20 @@ class HubLook:
     def __init__(self, layout: Layout, fabric: Fabric) -> None:
         self.loads: defaultdict[str, list[float]] = defaultdict(list)
         self._fabric, self._lock = fabric, threading.Lock()
+        self._begun_time_s = time.time()
         self._state = ViewState(layout, time.time() - time.monotonic(), _NAME)
         for topic in TOPICS:
             fabric.subscribe(topic, self._take)
         fabric.watch_peers(self._note)
 
     def snapshot(self) -> Snapshot:
-        """Return the skin as it is now, without the times since when: they are those of the look."""
+        """Return the skin as it is now, with the times since when that are before the look."""
         with self._lock:
             snapshot, _ = self._state.snapshot(time.monotonic(), self._fabric.malformed)
-        notices = [msgspec.structs.replace(each, since_time_s=None) for each in snapshot.notices]
+        notices = []
+        for each in snapshot.notices:
+            is_old = each.since_time_s is not None and each.since_time_s < self._begun_time_s
+            notices.append(each if is_old else msgspec.structs.replace(each, since_time_s=None))
         return msgspec.structs.replace(snapshot, notices=notices)
 
     def _take(self, message: msgspec.Struct) -> None:

@@ -20,6 +20,9 @@ FULL_RATIO: Final = 0.97
 #: So many nodes at an end of a bus that fall silent within this time are a broken cable.
 BROKEN_AT_LEAST: Final = 2
 TOGETHER_S: Final = 2.0
+_SILENT: Final = (Cause.NODE_SILENT.code, Cause.NODE_ABSENT.code)
+#: Beside such nodes no cable is broken: all of them come back, one after another, or a board fills the bus.
+_NOT_BROKEN: Final = {Cause.NODE_BOOTED.code, Cause.NODE_STARTING.code, Cause.NODE_TWICE.code}
 #: What is wrong with a bus: the cause, what of the bus, the text, and the level, empty for that of the cause.
 _Told = tuple[Cause, str, str, str]
 #: A gateway that has sent no counters for this time, two in place of one, sends no measurements.
@@ -89,9 +92,11 @@ def _images(state: Snapshot) -> Iterator[Notice]:
     elif image is None:
         status = state.gateway
         is_starting = status is None or status.cycles < STARTED_S * status.sync_rate_hz
-        yield Cause.NO_IMAGE.notice(
-            "waiting for the first image", "reconstructor", level="" if is_starting else WARNING
-        )
+        if state.services and token is None and not is_starting:
+            yield Cause.SERVICE_ABSENT.notice("no images: no reconstructor is there", "reconstructor")
+        else:
+            level = "" if is_starting else WARNING
+            yield Cause.NO_IMAGE.notice("waiting for the first image", "reconstructor", level=level)
 
 
 def _why(state: Snapshot, token: Service | None) -> tuple[Cause, str]:
@@ -232,8 +237,8 @@ def _off_duty(bus: BusView) -> Iterator[tuple[_Told, float | None]]:
 
 
 def _broken_at(bus: BusView) -> tuple[_Told, float | None] | None:
-    """Tell that the cable is broken: all nodes from one place to an end fell silent together, the others did not."""
-    silent = {each.node: each.since_time_s for each in bus.nodes_why if each.code == Cause.NODE_SILENT.code}
+    """Tell that the cable is broken: all nodes from one place to an end are silent since one time, the others not."""
+    silent = {each.node: each.since_time_s for each in bus.nodes_why if each.code in _SILENT}
     gone = [node in silent for node in bus.nodes]
     count = sum(gone)
     if count < BROKEN_AT_LEAST or count == len(gone) or max(silent.values()) - min(silent.values()) > TOGETHER_S:
@@ -241,12 +246,12 @@ def _broken_at(bus: BusView) -> tuple[_Told, float | None] | None:
     place = len(gone) - count if all(gone[-count:]) else count if all(gone[:count]) else None
     if place is None:
         return None
-    others = {each.code for each in bus.nodes_why} & {Cause.NODE_BOOTED.code, Cause.NODE_STARTING.code}
-    if others:  # all of them come back, one after another
+    others = {each.code for each in bus.nodes_why} & _NOT_BROKEN
+    if others:
         return None
     where = f"between node {bus.nodes[place - 1]} and node {bus.nodes[place]}"
     named = ", ".join(map(str, silent))
-    text = f"nodes {named} fell silent together: the cable is broken, or without supply, {where}"
+    text = f"nodes {named} are silent since one time: the cable is broken, or without supply, {where}"
     return (Cause.CABLE_BREAK, where, text, ""), min(silent.values())
 
 

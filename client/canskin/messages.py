@@ -450,6 +450,11 @@ class NodeEmergency(msgspec.Struct, frozen=True):
     time_ns: int
 
 
+#: Codes of causes by the state of the gateway's controller, and of SYNCs that the controller takes in no other.
+LINK_CODES: Final = {"lost": "interface-lost", "bus_off": "bus-off", "passive": "error-passive"}
+REFUSED_CODE: Final = "sync-refused"
+
+
 class BusState(Told, frozen=True, kw_only=True):
     """State of one bus, from the gateway.
 
@@ -477,6 +482,8 @@ class BusState(Told, frozen=True, kw_only=True):
         Number of frames that the gateway's receive buffer lost since the start.
     faults : dict of int to NodeFault
         By node-ID, of the nodes whose sums are not used.
+    out_s : dict of int to float
+        For how long they have not been used any more, seconds; of those that were used before.
     answer_s, heartbeat_s : list of (float, float)
         Least and longest time of each node's answers to SDO requests, and between its heartbeats, in the last 10 s to
         20 s; (0, 0) without any.
@@ -497,6 +504,7 @@ class BusState(Told, frozen=True, kw_only=True):
     trouble: str = ""
     overrun: int = 0
     faults: dict[int, NodeFault] = msgspec.field(default_factory=dict)
+    out_s: dict[int, float] = msgspec.field(default_factory=dict)
     answer_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
     heartbeat_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
     other_sync: str = ""

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
+from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodeEmergency, NodesStatus, Truth
 from canskin.peers import Peer
 from health.state import ViewState
 from skin.layout import Layout
@@ -116,8 +116,9 @@ class Messages:
         links: tuple[str, str] = ("active", "active"),
         troubles: tuple[str, str] = ("", ""),
         refused: tuple[int, ...] = (),
+        emergencies: tuple[NodeEmergency, ...] = (),
     ) -> GatewayStatus:
-        """``refused`` are nodes of the left bus."""
+        """``refused`` and ``emergencies`` are of nodes of the left bus."""
         states = nmt or ((5, 5, 5, 5), (5, 5, 5, 5))
         buses = [
             make.bus_state(
@@ -131,7 +132,7 @@ class Messages:
             )
             for bus, state, link, trouble in zip(self.layout.bus, states, links, troubles, strict=True)
         ]
-        buses[0] = msgspec.structs.replace(buses[0], refused=list(refused))
+        buses[0] = msgspec.structs.replace(buses[0], refused=list(refused), emergencies=list(emergencies))
         return make.gateway_status(cycles, frames=FrameCounts(accepted=16 * cycles, missing=missing), buses=buses)
 
     def nodes(self, process: str = "nodes") -> NodesStatus:

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 #: Causes that no fault of a bus, board or service has, or that other tests cause.
 ELSEWHERE = {
     "doctor": ("interface-differs", "bus-errors", "bus-load-above-plan", "host-setting"),
-    "start": ("starting", "node-starting", "no-image", "node-away"),
+    "start": ("starting", "node-starting", "no-image", "service-absent", "node-away"),
     "calibration and forces": ("no-zero", "defect", "doubtful-force", "threshold", "node-frozen"),
     "others": ("recording-ended", "misfits"),
 }

@@ -103,17 +103,20 @@ def test_what_a_bus_tells_has_one_cause(
     assert codes == ([] if code is None else [code])
 
 
+@pytest.mark.parametrize(("kind", "word"), [(Fault.SILENT, "silent"), (Fault.ABSENT, "never heard")])
 @pytest.mark.parametrize(
     ("silent", "place"),
     [((3, 4), "between node 2 and node 3"), ((1, 2, 3), "between node 3 and node 4"), ((2, 3), None), ((4,), None)],
 )
 def test_nodes_behind_a_place_that_fall_silent_together_are_a_broken_cable(
-    state: ViewState, messages: Messages, silent: tuple[int, ...], place: str | None
+    state: ViewState, messages: Messages, silent: tuple[int, ...], place: str | None, kind: Fault, word: str
 ) -> None:
     state.take(messages.gateway(), 1.0)
-    state.take(changed_bus(messages.gateway(), faults={node: NodeFault(Fault.SILENT) for node in silent}), 2.0)
+    faults = {node: NodeFault(kind) for node in silent}
+    state.take(changed_bus(messages.gateway(), faults=faults, out_s=dict.fromkeys(silent, 60.0)), 2.0)
+    assert all(each.since_time_s == 942.0 for each in seen_of(state, 2.0).notices if each.subject.startswith("left"))
     found = [(each.code, each.subject) for each in seen_of(state, 2.0).notices if each.subject.startswith("left")]
-    assert found == [("cable-break", f"left {place}") if place else ("node-silent", "left silent")]
+    assert found == [("cable-break", f"left {place}") if place else (NodeFault(kind).code, f"left {word}")]
 
 
 def test_sync_that_is_left_out_is_the_host_s_fault_for_a_while(state: ViewState, messages: Messages) -> None:
