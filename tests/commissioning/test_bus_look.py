@@ -80,8 +80,8 @@ def test_boards_that_are_absent_stopped_or_do_not_answer(small: Contract) -> Non
     assert told(Bench(small).loses(of_second[0]).look()) == [("warning", "node-unanswered")]
     everybody = [base + node for base in (SDO_RESPONSE_BASE, HEARTBEAT_BASE) for node in (1, 2)]
     assert told(Bench(small).loses(*everybody).look()) == [("error", "node-absent")]
-    behind = [base + node for base in (SDO_RESPONSE_BASE, HEARTBEAT_BASE) for node in (3, 4)]
-    broken = Bench(small_contract(bus=buses(4, 1))).loses(*behind).look()
+    behind = [base + node for base in (SDO_RESPONSE_BASE, HEARTBEAT_BASE) for node in (2, 3)]
+    broken = Bench(small_contract(bus=buses(3, 1))).loses(*behind).look()
     assert told(broken) == [("error", "cable-break")]
     stopped = Bench(small)
     stopped.nmt(0, NmtCommand.STOP, 1)

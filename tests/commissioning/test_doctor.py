@@ -160,7 +160,7 @@ def test_beside_a_gateway_nothing_is_sent_and_its_skin_is_judged(
     with telling(endpoint, status_of(load_ratio=0.9, faults={2: NodeFault(Fault.OTHER_DEVICE, "1018h:2 was 1")})):
         code, found = examined()
     assert code == 1
-    assert found.keys() == {"node-other-device", "bus-load-above-plan", "service-absent"}
+    assert found.keys() == {"node-other-device", "bus-load-above-plan", "no-image", "service-absent"}
     assert "1018h:2 was 1" in found["node-other-device"]["text"]
     assert "load 90.0%, planned are" in found["bus-load-above-plan"]["text"]
 

@@ -422,7 +422,7 @@ SCENES: Final = (
     Scene("an identifier fills the bus: 1", flooding(1, 2 * FLOOD), ("bus-full", *SILENT), tables=SLOW),
     Scene("an identifier fills the bus: 7FFh", flooding(0x7FF), ("bus-full",), tables=SLOW),
     Scene("a node floods the bus with its sums", doing(babbles), (
-        "bus-full", "node-twice", *SILENT
+        "bus-full", "node-twice", *SILENT, "node-emergency"
     ), tables=SLOW),
     Scene("a node dies, and boots", dies, (*SILENT, "node-booted")),
     Scene("a node boots again", once(reboots), ("node-booted",), 0.0),
