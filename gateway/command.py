@@ -48,7 +48,7 @@ def gateway(
     insecure
         The hub may serve a network without keys: everybody there can read the skin, tare it and send false images.
     max_rate
-        Of steps: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
+        Of steps: most measurements in a second, when there is news; 1 to 1000 Hz, by default 250.
     min_rate
         Of steps: measurements in a second without news; 1 Hz to `max_rate`, by default 10.
     calibration
@@ -65,7 +65,7 @@ def gateway(
     Examples
     --------
     skin gateway
-    skin gateway --layout steps --max-rate 200
+    skin gateway --layout steps --max-rate 1000
     skin gateway -i socketcan -c can0 --layout palm.toml
     skin gateway --calibration palm.json --tare never
     skin gateway --keep-zero /var/lib/canskin/palm.json

@@ -22,7 +22,7 @@ from gateway.stepped_state import COUNTED, NEVER_NS, forget, new_sums, slots_of,
 from gateway.sum_requests import SumRequests
 
 #: Measurements in a second, with news and at least; the limits of other rates.
-RATES_HZ: Final = (1000.0, 10.0)
+RATES_HZ: Final = (250.0, 10.0)
 RATE_MAX_HZ: Final = 1000.0
 RATE_MIN_HZ: Final = 1.0
 #: Longest time for which frames wait unread: a request for a missing group waits for its turn, too.

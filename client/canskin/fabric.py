@@ -6,7 +6,6 @@ that cannot be decoded raise no error; `Fabric.malformed` counts them.
 
 import logging
 import math
-import re
 import threading
 import time
 from collections import Counter, deque
@@ -34,6 +33,12 @@ Reply = Callable[[msgspec.Struct], None]
 Unread = Callable[[], Any]
 #: Longest wait for the other of two gateways that started at once to leave.
 SETTLED_S: Final = 1.0
+#: A younger publisher sends without knowing of a reader: the hub has to tell it first of those that are there.
+FRESH_S: Final = 1.0
+#: Whoever waits at a mailbox looks this often whether the wait is over.
+WAKE_S: Final = 0.1
+#: Least number of samples that zenoh keeps for the reader of a mailbox, who counts those that are missing.
+_KEPT_MIN: Final = 64
 #: Most publishers and topics whose losses are counted, and most differences of other services that are logged.
 _PUBLISHERS_MAX: Final = 1000
 _DIFFERENCES_MAX: Final = 100
@@ -52,6 +57,14 @@ class Origin(NamedTuple):
 
     publisher: str
     number: int
+
+
+class _Publisher(NamedTuple):
+    """Sends the messages of a topic; `wire` is zenoh's."""
+
+    wire: Any
+    numbers: "count[int]"
+    fresh_until_s: float
 
 
 class Missed:
@@ -113,14 +126,62 @@ class Mailbox(Generic[Message]):
     def get(self, timeout_s: float | None = None) -> Message | None:
         """Return the oldest waiting message, or None if no message came within `timeout_s`."""
         while True:
-            with suppress(IndexError):
-                message = self._decode(self._waiting.popleft())
-                if message is None:
-                    continue
+            if (message := self._next()) is not None:
                 return message
             # The lock may have been opened for a message that was taken without waiting: look again.
             if not self._arrived.acquire(timeout=-1 if timeout_s is None else timeout_s):
                 return None
+
+    def _next(self) -> Message | None:
+        while self._waiting:
+            if (message := self._decode(self._waiting.popleft())) is not None:
+                return message
+        return None
+
+
+class _RingMailbox(Mailbox[Message]):
+    """A mailbox that zenoh fills without the interpreter's lock: messages are seen when the reader looks.
+
+    Parameters
+    ----------
+    ring : zenoh.handlers.Handler
+        The samples that have come.
+    is_message : callable
+        Counts what is missing before a sample, and tells whether the sample is a message.
+    wake : callable
+        Called once, before the first wait: from then on a sample that is no message comes every `WAKE_S`.
+    """
+
+    def __init__(
+        self,
+        depth: int,
+        decode: Callable[[Any], Message | None],
+        ring: Any,
+        is_message: Callable[[Any], bool],
+        wake: Callable[[], None],
+    ) -> None:
+        super().__init__(depth, decode)
+        self._ring, self._is_message, self._wake = ring, is_message, wake
+        self._is_woken = False
+
+    def get(self, timeout_s: float | None = None) -> Message | None:
+        """See `Mailbox.get`."""
+        until_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        with suppress(zenoh.ZError):  # the connection is closed
+            while True:
+                while (sample := self._ring.try_recv()) is not None:
+                    self._put(sample)
+                if (message := self._next()) is not None or time.monotonic() >= until_s:
+                    return message
+                if not self._is_woken:
+                    self._is_woken = True
+                    self._wake()
+                self._put(self._ring.recv())
+        return None
+
+    def _put(self, sample: Any) -> None:
+        if self._is_message(sample):
+            self.put(sample.payload)
 
 
 class Exchange(Protocol):
@@ -195,10 +256,10 @@ class Fabric:
         self._others = Roll()
         self._prefix = f"canskin/{skin}"
         self._encoder = msgspec.msgpack.Encoder()
-        self._publishers: dict[str, Any] = {}
-        self._numbers: dict[str, count[int]] = {}
+        self._publishers: dict[str, _Publisher] = {}
         self._kept: list[Any] = []
         self._mailboxes: list[Mailbox[Any]] = []
+        self._closed = threading.Event()
         keys = keys or environment_keys()
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
         self._holder = None if hub else checked(endpoint, keys)[1]
@@ -221,7 +282,6 @@ class Fabric:
         except BaseException:
             self._session.close()
             raise
-        self._closed = threading.Event()
         if keys is not None and service:
             keys.watch_end(service, self._closed)
         if fingerprint:
@@ -249,17 +309,15 @@ class Fabric:
         before.undeclare()
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages."""
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            self.require_right("put", topic.name)
-            # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
-            key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
-            publisher = self._session.declare_publisher(key, congestion_control=control)
-            self._numbers[topic.name] = count(1)
-            self._publishers[topic.name] = publisher
-        mark = f"{self._peer.instance}-{next(self._numbers[topic.name])}"
-        publisher.put(self._encoder.encode(message), attachment=mark)
+        """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages.
+
+        A message is encoded and sent only where somebody reads the topic. It has a number all the same: readers whose
+        connection was lost count it as missed.
+        """
+        publisher = self._publishers.get(topic.name) or self._new_publisher(topic)
+        number = next(publisher.numbers)
+        if publisher.wire.matching_status.matching or time.monotonic() < publisher.fresh_until_s:
+            publisher.wire.put(self._encoder.encode(message), attachment=f"{self._peer.instance}-{number}")
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
@@ -284,9 +342,12 @@ class Fabric:
         self._receive(topic, lambda sample: handler(sample.payload.to_bytes(), _origin_of(sample.attachment)))
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
-        """Return a mailbox that holds the newest `depth` messages of `topic`."""
-        mailbox: Mailbox[Any] = Mailbox(depth, self._decoder(topic))
-        self._receive(topic, lambda sample: mailbox.put(sample.payload.to_bytes()))
+        """Return a mailbox that holds the newest `depth` messages of `topic`, for one thread."""
+        ring = self._subscribe(topic, zenoh.handlers.RingChannel(max(depth, _KEPT_MIN)))
+        decode, wake = self._decoder(topic), threading.Thread(target=self._wake, args=(topic,), name="mailbox").start
+        mailbox: Mailbox[Any] = _RingMailbox(
+            depth, lambda payload: decode(payload.to_bytes()), ring, partial(self._is_message, topic), wake
+        )
         if depth > 1:
             self._mailboxes.append(mailbox)
         return mailbox
@@ -402,16 +463,40 @@ class Fabric:
                 )
             time.sleep(LOOK_S)
 
-    def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
+    def _new_publisher(self, topic: Topic) -> "_Publisher":
+        self.require_right("put", topic.name)
+        # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
+        key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
+        wire = self._session.declare_publisher(key, congestion_control=control)
+        publisher = self._publishers[topic.name] = _Publisher(wire, count(1), time.monotonic() + FRESH_S)
+        return publisher
+
+    def _subscribe(self, topic: Topic, handler: Any) -> Any:
         self.require_right("subscribe", topic.name)
+        subscriber = self._session.declare_subscriber(f"{self._prefix}/{topic.name}", handler)
+        self._kept.append(subscriber)
+        return subscriber.handler
 
-        def note(sample: Any) -> None:
-            origin = _origin_of(sample.attachment)
-            if origin is not None:
-                self.missed.take(topic.name, origin)
-            receive(sample)
+    def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
+        def take(sample: Any) -> None:
+            if self._is_message(topic, sample):
+                receive(sample)
 
-        self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", note))
+        self._subscribe(topic, take)
+
+    def _is_message(self, topic: Topic, sample: Any) -> bool:
+        """Count what is missing before a sample; tell whether the sample is more than that of `_wake`."""
+        origin = _origin_of(sample.attachment)
+        if origin is not None:
+            self.missed.take(topic.name, origin)
+        return len(sample.payload) > 0
+
+    def _wake(self, topic: Topic) -> None:
+        """Send whoever waits for messages of a topic in this process an empty sample: a wait of zenoh has no end."""
+        while threading.main_thread().is_alive() and not self._closed.wait(WAKE_S):
+            with suppress(zenoh.ZError):  # the connection is closed now
+                here = zenoh.Locality.SESSION_LOCAL
+                self._session.put(f"{self._prefix}/{topic.name}", b"", allowed_destination=here)
 
     def _decoder(self, topic: Topic) -> Callable[[bytes], Any]:
         """Return what decodes a message of `topic`, or returns None and counts it in `malformed`."""
@@ -442,5 +527,6 @@ def _origin_of(attachment: Any) -> Origin | None:
     """Return what an attachment tells; other programs attach nothing, or something else."""
     if attachment is None:
         return None
-    told = re.fullmatch(rb"(\w{1,64})-(\d{1,18})", attachment.to_bytes())
-    return None if told is None else Origin(told[1].decode(), int(told[2]))
+    publisher, _, number = attachment.to_bytes().partition(b"-")
+    is_told = publisher.isalnum() and len(publisher) <= 64 and number.isdigit() and len(number) <= 18
+    return Origin(publisher.decode(), int(number)) if is_told else None

@@ -3,6 +3,7 @@
 import queue
 import threading
 from collections.abc import Iterator
+from unittest import mock
 
 import msgspec
 import numpy as np
@@ -85,6 +86,54 @@ def test_an_answer_that_cannot_be_decoded_is_named(hub: Fabric, endpoint: str) -
     other.close()
 
 
+def test_a_message_is_encoded_only_while_somebody_reads_its_topic(
+    hub: Fabric, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fabric_module, "FRESH_S", 0.0)
+    other, origins, heard = Fabric("test", "other", endpoint), list[Origin | None](), threading.Event()
+    with mock.patch.object(other, "_encoder") as encoder:
+        for cycle in range(5):
+            other.publish(LABEL, label(cycle))
+    assert not encoder.encode.called
+    hub.subscribe_bytes(LABEL, lambda _content, origin: (origins.append(origin), heard.set()))
+    send_until_heard(other, heard)
+    other.close()
+    assert origins[0] is not None
+    assert origins[0].number > 5  # whoever has read before, and lost the connection, sees a gap
+
+
+def test_the_first_message_of_a_publisher_comes(hub: Fabric, endpoint: str) -> None:
+    heard = threading.Event()
+    hub.subscribe(LABEL, lambda _message: heard.set())
+    other = Fabric("test", "other", endpoint)
+    other.publish(LABEL, label(1))
+    assert heard.wait(PATIENCE_S)
+    other.close()
+
+
+def test_a_reader_of_the_newest_decodes_no_other_and_counts_what_did_not_come(hub: Fabric, endpoint: str) -> None:
+    other, came = Fabric("test", "other", endpoint), threading.Semaphore(0)
+    mailbox = other.mailbox(LABEL, 1)
+    kept = other._session.declare_subscriber("canskin/test/label", lambda _: came.release())
+    assert mailbox.get(0.01) is None
+    sends = hub._session.declare_publisher("canskin/test/label")
+    matched = threading.Event()
+    listener = sends.declare_matching_listener(lambda status: status.matching and matched.set())
+    assert matched.wait(PATIENCE_S)
+    for number, content in enumerate((b"\xc1", b"\xc1", *2 * [msgspec.msgpack.encode(label(3))]), 1):
+        sends.put(content, attachment=f"hub-{2 * number}")
+    assert all(came.acquire(timeout=PATIENCE_S) for _ in range(4))
+    message = mailbox.get(PATIENCE_S)
+    assert message is not None
+    assert message.cycle == 3
+    assert other.missed.counts()["label"] >= 2
+    assert (other.malformed, other.overruns) == (0, 0)  # a mailbox for the newest loses none
+    kept.undeclare()
+    listener.undeclare()
+    other.close()
+    assert mailbox.get(PATIENCE_S) is None
+
+
 GARBAGE = {
     "no message": b"\xc1 garbage",
     "text that is no UTF-8": b"\x81\xa5label\xa1\xff",
@@ -114,7 +163,7 @@ def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint:
 
 def test_publishing_waits_for_nobody(hub: Fabric) -> None:
     hub.publish(LABEL, label(1))
-    assert hub._publishers["label"].congestion_control == zenoh.CongestionControl.DROP
+    assert hub._publishers["label"].wire.congestion_control == zenoh.CongestionControl.DROP
 
 
 def test_one_of_two_services_of_a_name_may_leave(hub: Fabric, endpoint: str) -> None:

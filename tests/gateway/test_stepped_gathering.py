@@ -65,7 +65,7 @@ def test_measurements_come_at_the_rates_that_were_asked_for(stepped: Contract) -
 @pytest.mark.parametrize(
     ("asked", "rates"),
     [
-        ((None, None), (1000.0, 10.0)),
+        ((None, None), (250.0, 10.0)),
         ((5.0, None), (5.0, 5.0)),
         ((1.0, 1.0), (1.0, 1.0)),
         ((1000.0, 1000.0), (1000.0, 1000.0)),
@@ -85,19 +85,19 @@ def test_rates_are_one_to_a_thousand_hertz(
         assert publishing_rates(*asked) == rates
 
 
-def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
+def test_measurements_are_four_milliseconds_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
     gateway, first_s = boards.gateway, boards.now_s
     word, times = frame(boards.contract.nodes[0].tpdos[0].cob_id, b"\1" + bytes(7)), []
-    for step in range(300):
+    for step in range(1200):
         now_s = first_s + 1e-4 * step
         word["time_ns"], word["data"][0, 0] = round(now_s * 1e9), step % 240 + 1
         gateway.take(0, word, now_s, stamp_error_ns=0)
         if came := gateway.measurements(now_s):
             times.append(now_s)
             assert came[0].sampled_mono_ns == round(now_s * 1e9)
-        assert gateway.may_sleep_until_s <= (times or [now_s])[-1] + 1e-3 + 1e-9
+        assert gateway.may_sleep_until_s <= (times or [now_s])[-1] + 4e-3 + 1e-9
     assert 27 <= len(times) <= 30
-    assert min(np.diff(times)) >= 1e-3 - 1e-9
+    assert min(np.diff(times)) >= 4e-3 - 1e-9
     assert gateway.due_s <= now_s + 0.1
 
 
