@@ -16,8 +16,8 @@ the fault has ended; "always" where none became invalid. Calm: when nothing is n
 what to do at each cause.
 
 Two boards with one node-ID: a node is out until ten seconds after its sums came twice, and differed, in two cycles of a
-second. What is not found: when one of the boards answers the gateway, and has sent no sums since the other came, nothing
-comes twice. Then the sums of the other are taken for its own.
+second. What is not found: when one of the boards answers the gateway, and has sent no sums since the other came,
+nothing comes twice. Then the sums of the other are taken for its own.
 
 | fault | named | whole | calm |
 |---|---|---|---|
