@@ -36,6 +36,8 @@ _FAULTS: Final = {
     Fault.STARTING: "not proven yet",
     Fault.FROZEN: "frozen",
 }
+#: Troubles beside which missing frames are counted.
+_OF_USED: Final = (Cause.NODE_LOSES, Cause.NODE_EMERGENCY)
 #: Of these nodes the NMT state tells more.
 _BY_STATE: Final = (Fault.LEFT, Fault.BOOTED, Fault.STARTING)
 
@@ -126,7 +128,7 @@ class Troubles:
                 missing = bus.missing[place] if bus.missing else 0
                 loses = self._grows(counted, ("missing", bus.name, str(node)), missing, now_s)
                 trouble = _trouble(status, bus, place, loses=loses)
-                if trouble is not None and trouble.cause is not Cause.NODE_LOSES:  # frames are missing because of that
+                if trouble is not None and trouble.cause not in _OF_USED:  # frames are missing because of that
                     del self._counted["missing", bus.name, str(node)]
                 if trouble is not None:
                     old, since_s = known.get(node, (trouble, now_s - bus.out_s.get(node, 0.0)))

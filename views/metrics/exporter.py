@@ -71,6 +71,8 @@ class Exporter(Collector):
         self._skins: dict[str, _Skin] = {}
         self._fingerprints: dict[str, str] = {}
         self._again_s: dict[str, float] = {}
+        #: Skin, code, level and subject of each cause at the newest look.
+        self._told: set[tuple[str, ...]] = set()
         disable_created_metrics()
         words = "Time from SYNC to the publication of an image."
         self._latencies = Histogram(LATENCY, words, ("skin",), buckets=BUCKETS_S, registry=None)
@@ -98,9 +100,14 @@ class Exporter(Collector):
             )
             for name, (labels, words) in FIGURES.items()
         }
+        told, self._told = self._told, set()
         for skin, joined in list(self._skins.items()):
             for name, labels, value in joined.figures():
                 families[name].add_metric((skin, *labels), value)
+                if name == "canskin_cause":
+                    self._told.add((skin, *labels))
+        for skin, code, _, subject in sorted(self._told - told):
+            say(SERVICE, f"skin '{skin}': {Cause.of(code).sees}{f': {subject}' * bool(subject)} [{code}]")
         words = "Each cause: what is seen, and what to do."
         causes = GaugeMetricFamily("canskin_cause_info", words, labels=("code", "sees", "mend"))
         for cause in Cause:
