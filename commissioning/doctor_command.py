@@ -18,14 +18,15 @@ from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import BusError, DeniedError, InputError
 from canskin.fabric import Fabric
 from canskin.keys import environment_keys
+from canskin.messages import GATEWAY, GatewayStatus
 from canskin.peers import Peer
 from canskin.session import checked, peers_at
 from commissioning.bus_look import BusLook
 from commissioning.talk import take_turn
 from dbc.contract import Contract
 from health.causes import ERROR, GRAVE, INFO, WARNING, Cause
+from health.feed import Watched
 from health.host_time import measure, settings
-from health.hub_look import HubLook
 from health.snapshot import Notice, Snapshot
 from shell.skin_options import SkinOptions, hub_layout, knows_layout
 from shell.terminal import Json, print_json
@@ -115,10 +116,11 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
         contract = Contract.from_layout(skin)
         names = channels(skin, can)
         with ExitStack() as stack:
-            look = None
+            look, told = None, list[GatewayStatus]()
             if not found:  # there is a hub
                 fabric = Fabric(skin.name, "", of.endpoint, patience_s=PATIENCE_S)
-                look = HubLook(skin, stack.enter_context(closing(fabric)))
+                look = Watched(skin, stack.enter_context(closing(fabric)))
+                fabric.subscribe(GATEWAY, told.append)
             if not has_gateway:
                 found += _look_at_buses(contract, can, names)
             else:
@@ -126,12 +128,12 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
                     found += [each for pair in zip(names, skin.bus, strict=True) for each in _differences(*pair)]
                 time.sleep(LISTEN_S)
             if look is not None:
-                snapshot = look.snapshot()
+                snapshot = look.look()
                 found += [_graver(each) for each in snapshot.notices]
                 if has_gateway and "classifier" not in snapshot.services:
                     text = "no labels: no classifier is there"
                     found.append(Cause.SERVICE_ABSENT.notice(text, "classifier", level=INFO))
-                found += _loads(contract, look)
+                found += _loads(contract, told)
     name = skin.name if skin is not None else of.skin or "skin"
     return name, sorted([*found, *_host(snapshot)], key=lambda each: GRAVE.index(each.level))
 
@@ -206,11 +208,11 @@ def _differences(channel: str, line: Bus) -> list[Notice]:
     return [told] if text else []
 
 
-def _loads(contract: Contract, look: HubLook) -> Iterator[Notice]:
+def _loads(contract: Contract, told: list[GatewayStatus]) -> Iterator[Notice]:
     """Compare the loads that the gateway tells with the plan."""
     rate_hz = cycle_hz(contract.layout)
     for number, line in enumerate(contract.layout.bus):
-        load_ratio = fmean(look.loads[line.name] or [0.0])
+        load_ratio = fmean([bus.load_ratio for each in told for bus in each.buses if bus.name == line.name] or [0.0])
         turns = [traffic(contract, number, turn) for turn in range(contract.turns)]
         most = max(bus_time(each, "worst").load(rate_hz) for each in turns)
         if load_ratio > most + SDO_RATIO:

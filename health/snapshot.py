@@ -60,8 +60,9 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     memory_bytes, processor_ratio, made_per_s : int or float, or None
         Of the last second, as `canskin.messages.ServiceStatus` tells: resident memory, processor time / time, and what
         the service made. Those of all services of this name together; None if none tells.
-    lost : int
-        Messages that did not come, or came too fast, since the start of the processes.
+    processor_s, missed, overruns : float or int, or None
+        As `canskin.messages.ServiceStatus` tells: the sums of all processes of this name, also of those that have
+        ended; None if none has told.
     loses_since_time_s : float or None
         Wall-clock time since when more and more are lost.
     """
@@ -76,8 +77,15 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     memory_bytes: int | None = None
     processor_ratio: float | None = None
     made_per_s: float | None = None
-    lost: int = 0
+    processor_s: float | None = None
+    missed: int | None = None
+    overruns: int | None = None
     loses_since_time_s: float | None = None
+
+    @property
+    def lost(self) -> int:
+        """Messages that did not come, or came too fast."""
+        return (self.missed or 0) + (self.overruns or 0)
 
 
 class ImageState(msgspec.Struct, frozen=True, kw_only=True):
