@@ -25,10 +25,8 @@ from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
 from reconstructor.kernels.touched_regions import (
     FEATURES,
-    Tables,
     cut,
     give_owners,
-    neighbour_tables,
     no_regions,
 )
 from skin.surface import GRID_NORMAL, Surface
@@ -116,10 +114,9 @@ class ContactTracker:
         places, self._reach = np.hstack((surface.positions_m, surface.normals)), REACH * surface.pitch_m
         if surface.is_grid:
             places, self._reach = np.indices(surface.shape).reshape(2, count).T.astype(np.float64, "C"), REACH
-        self._tables = Tables(*neighbour_tables(surface), places)
         self._first_m = _point(surface.positions_m[0])
         #: The owner of a taxel is 1 + the place of its contact in `_tracks`.
-        self._regions = no_regions(count)
+        self._regions = no_regions(surface, places)
         self._tracks: list[_Track] = []
         self._lost: list[_Track] = []
         self._joined: list[_Track] = []
@@ -168,7 +165,7 @@ class ContactTracker:
 
     def _cut(self, image: npt.NDArray[np.floating]) -> list[_Part]:
         """Cut the image into parts, one for each pair of region and earlier contact."""
-        table = cut(image, EDGE_N, KEEP_N, self._tables, self._regions)
+        table = cut(image, EDGE_N, KEEP_N, self._regions)
         rows = zip(self._regions.pairs[: len(table)].tolist(), table.tolist(), strict=True)
         return [_Part([number], row[FEATURES:], *pair, *row[:FEATURES]) for number, (pair, row) in enumerate(rows, 1)]
 

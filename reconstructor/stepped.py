@@ -1,5 +1,7 @@
 """`SteppedImager`: an image of the newest sums of a skin with steps."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,6 +11,7 @@ from reconstructor.walsh import WalshReconstructor
 from skin.layout import Layout
 from skin.measured_sums import SteppedSums, decode_stepped
 from skin.taxel import NOISE_N
+from skin.walsh import grouped_rows
 
 
 class SteppedImager:
@@ -36,22 +39,25 @@ class SteppedImager:
         self._solver = solver
         self._walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)
         self._shape = (layout.blocks, layout.measurement.block_size)
+        #: A patch's sums come by Hadamard row, and are solved group by group.
+        self._rows = grouped_rows(layout.measurement.block_size).ravel()
         self._newton_per_count = np.float32(taxels.newton_per_count)
         self._masked = MaskedTaxels(layout) if taxels.masked else None
 
     def solve(self, sums: SteppedSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """See `reconstructor.imaging.CycleImager.solve`; the image is 0 while no sum is known."""
-        self._walsh.noise_n = sums.noise_n or NOISE_N
-        if self._solver is None and self._masked is None:
-            return self._walsh.solve_sums(sums.counts, sums.known, self._newton_per_count), sums.known
         sums_n, known = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32), sums.known
         if self._masked is not None:
             sums_n, known = self._masked.apply(sums_n, known)
         if self._solver is not None:
             image = self._solver.solve(sums_n, known)
         else:
-            image = self._walsh.solve_sums(sums_n, known, np.float32(1))
+            self._walsh.noise_n = sums.noise_n or NOISE_N
+            image = self._walsh.solve(self._grouped(sums_n), None if known.all() else self._grouped(known))
         return image if self._masked is None else self._masked.keep(image), known
+
+    def _grouped(self, of_sums: Any) -> Any:
+        return np.take(of_sums.reshape(self._shape), self._rows, axis=1)
 
     def warm_up(self) -> None:
         """Compile the solver, or load the compiled solver."""
@@ -60,7 +66,6 @@ class SteppedImager:
             return
         blocks, size = self._shape
         nothing = np.zeros(size * blocks, np.int32)
-        nothing.flags.writeable = False  # as those of a measurement
         for known in (np.arange(nothing.size) > 0, np.ones(nothing.size, np.bool_)):
             self.solve(SteppedSums(nothing, np.ones(blocks, np.bool_), known, NOISE_N))
         self._walsh.reset()

@@ -6,7 +6,7 @@ dual of the total variation (Chambolle 2004) for each image; the dual is kept, s
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,7 @@ from canskin.errors import InputError
 from reconstructor.checks import check_values
 from reconstructor.kernels.filling import fill
 from reconstructor.kernels.graph import Graph, graph_of
-from reconstructor.kernels.transforms import FAST_MATH
 from reconstructor.kernels.variation import denoise
-from shell.compiled import borrowed, njit
 from skin.walsh import grouped_rows, walsh_matrix
 
 #: Limit of the dual, in units of the nodes' noise.
@@ -26,59 +24,6 @@ LIMIT_RATIO: Final = 0.1
 STEPS: Final = 8
 
 Floats = npt.NDArray[np.float32]
-
-
-class _Walsh(NamedTuple):
-    """Arrays of a `WalshReconstructor`; `work` is scratch.
-
-    Attributes
-    ----------
-    cells : array of int, shape (patches, taxels)
-    rows : array of int, shape (taxels,)
-        Of the sums of a patch, that of each sum in the order of `skin.walsh.grouped_rows`.
-    sums_n : array of float32, shape (patches, taxels)
-    unknown : array of bool, shape (patches, taxels)
-    places, filled : arrays of float32, shape (places,)
-    work : array of float32, shape (4, places)
-    dual : array of float32
-    """
-
-    cells: Any
-    rows: Any
-    sums_n: Any
-    unknown: Any
-    places: Any
-    filled: Any
-    work: Any
-    dual: Any
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _scale(values: Any, known: Any, factor: Any, walsh: _Walsh) -> int:
-    """Group the sums of all patches, and scale them; return how many are unknown."""
-    walsh, size, total = borrowed(walsh), walsh.rows.size, 0
-    for patch in range(walsh.sums_n.shape[0]):
-        for place in range(size):
-            total += not known[patch * size + place]
-            walsh.unknown[patch, place] = not known[patch * size + place]
-        for place in range(size):
-            at = patch * size + walsh.rows[place]
-            walsh.sums_n[patch, place] = np.float32(values[at]) * factor if known[at] else np.float32(0)
-    return total
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _restore(patches_n: Any, is_whole: bool, graph: Graph, limit_n: Any, made: Any, walsh: _Walsh) -> None:  # noqa: PLR0917
-    """Make an image of the forces on the taxels of each patch."""
-    walsh, graph = borrowed(walsh), borrowed(graph)
-    for patch in range(walsh.cells.shape[0]):
-        for place in range(walsh.cells.shape[1]):
-            walsh.places[walsh.cells[patch, place]] = patches_n[patch, place]
-    if is_whole:
-        walsh.filled[:] = 0
-    else:
-        fill(walsh.places, made.size, graph, walsh.unknown, walsh.cells, walsh.filled, walsh.work)
-    denoise(walsh.places[: made.size], made, walsh.dual, graph, STEPS, limit_n, np.float32(0))
 
 
 class VariationFilter:
@@ -107,6 +52,10 @@ class VariationFilter:
         denoise(image_n.ravel(), made, self._dual, self._graph, STEPS, np.float32(limit_n), np.float32(0))
         return made.reshape(image_n.shape)
 
+    def reset(self) -> None:
+        """Forget the images before."""
+        self._dual[:] = 0
+
 
 class WalshReconstructor:
     """Makes an image of the Walsh sums of all patches.
@@ -131,26 +80,21 @@ class WalshReconstructor:
         noise_n: float,
         edges: npt.NDArray[np.intp] | None = None,
     ) -> None:
-        cells = np.concatenate(patches)
+        self._cells = np.concatenate(patches)
         # The empty places follow the taxels; gaps of the grid are 0.
-        places = max(rows * columns, int(cells.max()) + 1)
-        held = np.bincount(cells.ravel(), minlength=places)
+        places = max(rows * columns, int(self._cells.max()) + 1)
+        held = np.bincount(self._cells.ravel(), minlength=places)
         if held.max() > 1 or not held[rows * columns :].all():
             raise InputError(f"expected patches that hold each of {rows * columns} taxels once")
         self._graph = graph_of(rows, columns, np.flatnonzero(held[: rows * columns] == 0), edges)
-        taxels = cells.shape[1]
+        taxels = self._cells.shape[1]
+        self._rows = grouped_rows(taxels).ravel()
         self._inverse = walsh_matrix(taxels) / np.float32(taxels)
-        self._shape = rows, columns
-        self._walsh = _Walsh(
-            cells=cells,
-            rows=grouped_rows(taxels).ravel(),
-            sums_n=np.zeros(cells.shape, np.float32),
-            unknown=np.zeros(cells.shape, np.bool_),
-            places=np.zeros(places, np.float32),
-            filled=np.zeros(places, np.float32),
-            work=np.zeros((4, places), np.float32),
-            dual=np.zeros(self._graph.size, np.float32),
-        )
+        self._places = np.zeros(places, np.float32)
+        self._image = self._places[: rows * columns].reshape(rows, columns)
+        self._filter = VariationFilter(self._graph)
+        self._filled, self._work = np.zeros(places, np.float32), np.zeros((4, places), np.float32)
+        self._unknown = np.zeros(self._cells.shape, np.bool_)
         self.noise_n = noise_n
 
     def solve(self, sums_n: Floats, known: npt.NDArray[np.bool_] | None = None) -> Floats:
@@ -164,31 +108,23 @@ class WalshReconstructor:
             Which sums are known; the others are filled in from the forces around. Without `known`, all sums count as
             they are. An image without any known sum is 0.
         """
-        shape = self._walsh.cells.shape
-        check_values("sums", sums_n, shape)
-        if known is not None and (known.shape != shape or known.dtype != np.bool_):
-            raise InputError(f"known: expected booleans of shape {shape}, got {known.dtype} {known.shape}")
+        check_values("sums", sums_n, self._cells.shape)
+        if known is not None and (known.shape != self._cells.shape or known.dtype != np.bool_):
+            raise InputError(f"known: expected booleans of shape {self._cells.shape}, got {known.dtype} {known.shape}")
         if known is None or known.all():
-            return self._restored(sums_n, 0)
-        self._walsh.unknown[:, self._walsh.rows] = ~known
-        return self._restored(np.where(known, sums_n, np.float32(0)), int(np.count_nonzero(~known)))
-
-    def solve_sums(self, values: npt.NDArray[Any], known: npt.NDArray[np.bool_], factor: np.float32) -> Floats:
-        """Return the image of sums in the order of Φ, shape (m,), that are newtons with a factor; see `solve`."""
-        unknown = _scale(values, known, factor, self._walsh)
-        return self._restored(self._walsh.sums_n, unknown)
-
-    def _restored(self, sums_n: npt.NDArray[Any], unknown: int) -> Floats:
-        """Return the image of sums, those that are not known 0, of which `unknown` are not."""
-        if unknown == self._walsh.cells.size:
+            self._places[self._cells] = sums_n @ self._inverse
+            self._filled[:] = 0
+        elif known.any():
+            self._places[self._cells] = np.where(known, sums_n, np.float32(0)) @ self._inverse
+            self._unknown[:, self._rows] = ~known
+            taxels = self._image.size
+            fill(self._places, taxels, self._graph, self._unknown, self._cells, self._filled, self._work)
+        else:
             self.reset()
-            return np.zeros(self._shape, np.float32)
-        made = np.empty(self._shape, np.float32)
-        limit_n = np.float32(LIMIT_RATIO * self.noise_n)
-        _restore(sums_n @ self._inverse, unknown == 0, self._graph, limit_n, made.reshape(-1), self._walsh)
-        return made
+            return np.zeros_like(self._image)
+        return self._filter(self._image, LIMIT_RATIO * self.noise_n)
 
     def reset(self) -> None:
         """Forget the images before."""
-        self._walsh.dual[:] = 0
-        self._walsh.filled[:] = 0
+        self._filter.reset()
+        self._filled[:] = 0

@@ -33,8 +33,8 @@ BORDER: Final = 2
 DIAGONAL_RATIO: Final = 1.5
 
 
-class Tables(NamedTuple):
-    """What a skin's taxels have for good.
+class Regions(NamedTuple):
+    """The taxels of a skin, and the regions of an image.
 
     Attributes
     ----------
@@ -42,18 +42,6 @@ class Tables(NamedTuple):
         Tables of the taxels within one step, and within `BORDER`.
     places : array of float64, shape (n, D)
         Where each taxel is.
-    """
-
-    neighbours: Any
-    around: Any
-    places: Any
-
-
-class Regions(NamedTuple):
-    """The regions of an image.
-
-    Attributes
-    ----------
     region, owner, part : arrays of int32, shape (n,)
         Numbers, from 1, of each taxel's region, of its owner, and of the pair of both; 0 outside of regions.
     pairs : array of int32, shape (n, 2)
@@ -63,18 +51,15 @@ class Regions(NamedTuple):
     scratch : array of int32, shape (n,)
     """
 
+    neighbours: Any
+    around: Any
+    places: Any
     region: Any
     owner: Any
     part: Any
     pairs: Any
     touched: Any
     scratch: Any
-
-
-def no_regions(count: int) -> Regions:
-    """Return the regions of `count` untouched taxels."""
-    pairs, touched = np.zeros((count, 2), np.int32), np.full(count + 1, -1, np.int32)
-    return Regions(*np.zeros((3, count), np.int32), pairs, touched, np.zeros(count, np.int32))
 
 
 @cache
@@ -112,32 +97,31 @@ def _table(pairs: Any) -> npt.NDArray[np.int32]:
     return table
 
 
+def no_regions(surface: Surface, places: npt.NDArray[np.float64]) -> Regions:
+    """Return the regions of an untouched skin."""
+    count = len(places)
+    pairs, touched = np.zeros((count, 2), np.int32), np.full(count + 1, -1, np.int32)
+    numbers, scratch = np.zeros((3, count), np.int32), np.zeros(count, np.int32)
+    return Regions(*neighbour_tables(surface), places, *numbers, pairs, touched, scratch)
+
+
 @njit(cache=True, nogil=True)
-def cut(image: Any, edge: float, least_peak: float, tables: Tables, regions: Regions) -> Any:
-    """Cut an image into parts, one for each pair of region and owner; return a table with a row for each part.
+def cut(image: Any, edge: float, least_peak: float, regions: Regions) -> Any:
+    """Cut an image, shape (rows, columns), into parts, one for each pair of region and owner; return their table.
 
     A region is neighbouring taxels above `edge`, one of them above `least_peak`. Each taxel of a region has the owner
     that it had, else that of the taxels uphill of it. Where two owners meet, the border between them follows the
     valley: taxels within `BORDER` of another owner are given anew. Owners spread from their other taxels to their
     neighbours, over the largest force first. A region without owner keeps 0.
-
-    Parameters
-    ----------
-    image : array of float, shape (rows, columns)
-    regions : Regions
-        With the owners of the image before; all is set anew.
-
-    Returns
-    -------
-    array of float64, shape (parts, FEATURES + D)
+    `regions` come with the owners of the image before, and are set anew. The table has shape (parts, FEATURES + D).
     """
-    tables, regions = borrowed(tables), borrowed(regions)
+    regions = borrowed(regions)
     force = image.ravel()
-    _find_regions(force, tables.neighbours, edge, least_peak, regions.region, regions.scratch)
+    _find_regions(force, edge, least_peak, regions)
     touched = regions.touched[: _list_touched(regions)]
-    _spread_owners(force, touched, tables, regions)
-    table = np.zeros((_number_parts(touched, regions), FEATURES + tables.places.shape[1]))
-    _measure_parts(image, touched, tables, regions.part, table)
+    _spread_owners(force, touched, regions)
+    table = np.zeros((_number_parts(touched, regions), FEATURES + regions.places.shape[1]))
+    _measure_parts(image, touched, regions, table)
     return table
 
 
@@ -170,10 +154,9 @@ def give_owners(  # noqa: PLR0917 - compiled
 
 
 @njit(cache=True, nogil=True)
-def _find_regions(  # noqa: PLR0917 - compiled
-    force: Any, neighbours: Any, edge: float, least_peak: float, region: Any, queue: Any
-) -> None:
+def _find_regions(force: Any, edge: float, least_peak: float, regions: Regions) -> None:
     """Give numbers to the regions; taxels of one without a peak have -1."""
+    region, queue = regions.region, regions.scratch
     region[:] = 0
     number, weak = 0, -1
     for start in range(force.size):
@@ -186,7 +169,7 @@ def _find_regions(  # noqa: PLR0917 - compiled
             taxel = queue[first]
             peak = max(peak, force[taxel])
             first += 1
-            for other in neighbours[taxel]:
+            for other in regions.neighbours[taxel]:
                 if not region[other] and force[other] > edge:
                     region[other] = weak
                     queue[last] = other
@@ -218,20 +201,20 @@ def _list_touched(regions: Regions) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _spread_owners(force: Any, touched: Any, tables: Tables, regions: Regions) -> None:
+def _spread_owners(force: Any, touched: Any, regions: Regions) -> None:
     region, owner, seeds = regions.region, regions.owner, regions.scratch
-    _plant(touched, tables.around, owner, seeds)
+    _plant(touched, regions.around, owner, seeds)
     heap = [(0.0, 0)]
     heap.pop()
     for taxel in touched:
         owner[taxel] = seeds[taxel]
     for taxel in touched:
-        if seeds[taxel] and _can_spread(tables.neighbours[taxel], region, owner):
+        if seeds[taxel] and _can_spread(regions.neighbours[taxel], region, owner):
             heap.append((-np.float64(force[taxel]), 0 + taxel))  # noqa: PERF401  no generators here; of one type
     heapq.heapify(heap)
     while heap:
         taxel = heapq.heappop(heap)[1]
-        for other in tables.neighbours[taxel]:
+        for other in regions.neighbours[taxel]:
             if region[other] and not owner[other]:
                 owner[other] = owner[taxel]
                 heapq.heappush(heap, (-np.float64(force[other]), 0 + other))
@@ -290,10 +273,10 @@ def _number_parts(touched: Any, regions: Regions) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _measure_parts(image: Any, touched: Any, tables: Tables, parts: Any, table: Any) -> None:
+def _measure_parts(image: Any, touched: Any, regions: Regions, table: Any) -> None:
     """Sum up each part in a table of zeros, and find its highest pass to a neighbouring part."""
     rows, columns = image.shape
-    forces, places = image.ravel(), tables.places
+    forces, parts, places = image.ravel(), regions.part, regions.places
     table[:, TOP], table[:, LEFT] = rows, columns
     for taxel in touched:
         part, force = table[parts[taxel] - 1], forces[taxel]
@@ -305,6 +288,6 @@ def _measure_parts(image: Any, touched: Any, tables: Tables, parts: Any, table: 
         part[LEFT], part[RIGHT] = min(part[LEFT], x), max(part[RIGHT], x)
         for each in range(places.shape[1]):
             part[FEATURES + each] += force * places[taxel, each]
-        for other in tables.neighbours[taxel]:
+        for other in regions.neighbours[taxel]:
             if parts[other] and parts[other] != parts[taxel] and min(force, forces[other]) > part[PASS]:
                 part[PASS], part[NEIGHBOUR] = min(force, forces[other]), parts[other]
