@@ -8,7 +8,6 @@ from statistics import fmean
 from typing import Final, Literal
 
 import msgspec
-from can import VALID_INTERFACES
 
 from bandwidth.plan import bus_time, cycle_hz, random_bus_time
 from bandwidth.traffic import traffic
@@ -17,15 +16,16 @@ from bus.link import ARBITRATED, SOCKETCAN, Link
 from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import BusError, DeniedError, InputError
 from canskin.fabric import Fabric
-from canskin.keys import environment_keys
+from canskin.keys import accepts, environment_keys
+from canskin.messages import GATEWAY, GatewayStatus
 from canskin.peers import Peer
 from canskin.session import checked, peers_at
 from commissioning.bus_look import BusLook
 from commissioning.talk import take_turn
 from dbc.contract import Contract
 from health.causes import ERROR, GRAVE, INFO, WARNING, Cause
+from health.feed import Watched
 from health.host_time import measure, settings
-from health.hub_look import HubLook
 from health.snapshot import Notice, Snapshot
 from shell.skin_options import SkinOptions, hub_layout, knows_layout
 from shell.terminal import Json, print_json
@@ -37,6 +37,8 @@ LISTEN_S: Final = 2.0
 PATIENCE_S: Final = 1.0
 #: Part of a bus beyond its plan that SDO transfers may take.
 SDO_RATIO: Final = 0.02
+#: What to do with a hub that hangs.
+_HANGS: Final = "end the process that listens there, by kill -9 if it hangs, and start it again"
 #: Settings of the host that are told before anything is late.
 _ADVISED: Final = ("scheduling", "clock source", "timer", "wall clock")
 
@@ -103,6 +105,8 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
     SkinError
         If the options cannot be used, or name no single skin.
     """
+    from can import VALID_INTERFACES
+
     if can.interface not in VALID_INTERFACES:
         known = ", ".join(sorted(VALID_INTERFACES))
         raise InputError(f"expected --interface with one of {known}, got {can.interface!r}")
@@ -112,27 +116,28 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
         contract = Contract.from_layout(skin)
         names = channels(skin, can)
         with ExitStack() as stack:
-            look = None
+            look, told = None, list[GatewayStatus]()
             if not found:  # there is a hub
                 fabric = Fabric(skin.name, "", of.endpoint, patience_s=PATIENCE_S)
-                look = HubLook(skin, stack.enter_context(closing(fabric)))
-            if not has_gateway:
-                found += _look_at_buses(contract, can, names)
+                look = Watched(skin, stack.enter_context(closing(fabric)))
+                fabric.subscribe(GATEWAY, told.append)
+            if not has_gateway:  # a gateway does not start without its buses: they come first
+                found = _look_at_buses(contract, of, can, names) + found
             else:
                 if can.interface == SOCKETCAN and can.channel:
                     found += [each for pair in zip(names, skin.bus, strict=True) for each in _differences(*pair)]
                 time.sleep(LISTEN_S)
             if look is not None:
-                snapshot = look.snapshot()
+                snapshot = look.look()
                 found += [_graver(each) for each in snapshot.notices]
-                found += _loads(contract, look)
+                found += _loads(contract, told)
     name = skin.name if skin is not None else of.skin or "skin"
     return name, sorted([*found, *_host(snapshot)], key=lambda each: GRAVE.index(each.level))
 
 
 def _find(of: SkinOptions) -> tuple[Layout | None, bool, list[Notice]]:
     """Return the layout, whether a gateway of the skin is there, and why hub or gateway cannot be asked."""
-    checked(of.endpoint, environment_keys())  # a wrong endpoint is no fault of the skin
+    endpoint, _ = checked(of.endpoint, environment_keys())  # a wrong endpoint is no fault of the skin
     given = None if of.layout is None else of.find(needs_hub=False)
     wanted = of.skin if given is None else given.name
 
@@ -142,7 +147,10 @@ def _find(of: SkinOptions) -> tuple[Layout | None, bool, list[Notice]]:
     try:
         peers = peers_at(of.endpoint, PATIENCE_S, lambda peers: any(map(tells, peers)), "--connect")
     except BusError as error:
-        return given or load_layout(None), False, [Cause.HUB_AWAY.notice(str(error), "hub")]
+        if accepts(endpoint):  # whoever hangs there may have the buses, too
+            return None, True, [Cause.HUB_AWAY.notice(str(error), "hub", mend=_HANGS)]
+        mend = "" if given else f"{Cause.HUB_AWAY.mend}; give --layout if the skin is not the default one"
+        return given or load_layout(None), False, [Cause.HUB_AWAY.notice(str(error), "hub", mend=mend)]
     skins = {peer.skin for peer in peers if tells(peer)}
     if given is not None or not (skins or of.skin):
         return given or load_layout(None), bool(skins), []
@@ -160,9 +168,11 @@ def _graver(notice: Notice) -> Notice:
     return msgspec.structs.replace(notice, level=ERROR) if is_absent else notice
 
 
-def _look_at_buses(contract: Contract, can: BusOptions, names: list[str]) -> list[Notice]:
+def _look_at_buses(contract: Contract, of: SkinOptions, can: BusOptions, names: list[str]) -> list[Notice]:
     """Look at interfaces and boards, without a gateway."""
     found: list[Notice] = []
+    virtual = f"'skin bus{f' --layout {of.layout}' if of.layout else ''}'" if can.interface == ARBITRATED else ""
+    absent: dict[str, BusError] = {}
     opened: dict[int, Link] = {}
     with closing_links(opened) as links:
         for number, (channel, line) in enumerate(zip(names, contract.layout.bus, strict=True)):
@@ -173,15 +183,26 @@ def _look_at_buses(contract: Contract, can: BusOptions, names: list[str]) -> lis
             try:
                 opened.update(open_links(contract.layout, can, [number], name="doctor", wait_s=0.0))
             except InterfaceError as error:
-                found.append(Cause.INTERFACE_DIFFERS.notice(f"{line.name}: {error}", line.name))
+                mend = virtual and f"stop that bus, then {virtual}"
+                found.append(Cause.INTERFACE_DIFFERS.notice(f"{line.name}: {error}", line.name, mend=mend))
             except BusError as error:
-                mend = f"'skin bus {channel}'" if can.interface == ARBITRATED else ""
-                found.append(Cause.INTERFACE_LOST.notice(f"{line.name}: {error}", line.name, mend=mend))
+                absent[line.name] = error
+        found += _absent(absent, virtual)
         now_s = time.monotonic()
         looks = {number: BusLook(contract, number, link, now_s) for number, link in links.items()}
         while not all(each.done for each in looks.values()):
             take_turn(links, looks)
     return found + [notice for each in looks.values() for notice in each.notices()]
+
+
+def _absent(errors: dict[str, BusError], virtual: str) -> Iterator[Notice]:
+    """Name the buses that could not be opened; all virtual ones together, which one command starts."""
+    if virtual and errors:
+        named, more = ", ".join(errors), f"; and {len(errors) - 1} more" * (len(errors) > 1)
+        mend = f"{virtual}, or give the interface of real buses: -i socketcan -c can0"
+        yield Cause.INTERFACE_LOST.notice(f"{named}: {next(iter(errors.values()))}{more}", named, mend=mend)
+    elif errors:
+        yield from (Cause.INTERFACE_LOST.notice(f"{name}: {error}", name) for name, error in errors.items())
 
 
 def _differences(channel: str, line: Bus) -> list[Notice]:
@@ -200,11 +221,11 @@ def _differences(channel: str, line: Bus) -> list[Notice]:
     return [told] if text else []
 
 
-def _loads(contract: Contract, look: HubLook) -> Iterator[Notice]:
+def _loads(contract: Contract, told: list[GatewayStatus]) -> Iterator[Notice]:
     """Compare the loads that the gateway tells with the plan."""
     rate_hz = cycle_hz(contract.layout)
     for number, line in enumerate(contract.layout.bus):
-        load_ratio = fmean(look.loads[line.name] or [0.0])
+        load_ratio = fmean([bus.load_ratio for each in told for bus in each.buses if bus.name == line.name] or [0.0])
         turns = [traffic(contract, number, turn) for turn in range(contract.turns)]
         most = max(bus_time(each, "worst").load(rate_hz) for each in turns)
         if load_ratio > most + SDO_RATIO:

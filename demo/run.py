@@ -16,8 +16,8 @@ from rich.console import Console
 from calibration.windows import tare_s
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
+from canskin.keys import UNIX
 from canskin.peers import Peer, Roll
-from canskin.session import UNIX
 from classifier.newest_sums import averaged_cycles
 from demo.options import DemoOptions
 from demo.picture import save_picture
@@ -160,7 +160,6 @@ class Run:
 
     def _start_services(self, endpoint: str) -> None:
         options, start, common = self._options, self._supervisor.start, self._common(endpoint)
-        start("bus", "bus", *self._of_layout)
         touch = options.touch
         rest = []
         if touch.input is None and options.has_zero_errors(self._layout):

@@ -12,10 +12,11 @@ from typing import Final
 from rich.console import Console
 
 from canskin.session import peers_at
+from health.feed import Watched
 from shell.output import write_file
 from shell.skin_options import SkinOptions, knows_layout
 from tests.processes import PATIENCE_S, Processes, free_endpoint
-from views.monitor.command import SERVICE, Watched
+from views.monitor.command import SERVICE, TOPICS
 from views.monitor.drawing import screen
 
 #: Between two looks at the state, seconds.
@@ -37,7 +38,7 @@ def monitor(path: Path, size: tuple[int, int]) -> None:
         of = SkinOptions(connect=endpoint)
         skin = of.find()
         with closing(of.join(skin, SERVICE)) as fabric:
-            watched = Watched(skin, fabric)
+            watched = Watched(skin, fabric, TOPICS)
 
             def has_rates() -> bool:
                 told = [each.made_per_s for each in watched.snapshot().services.values()]

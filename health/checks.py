@@ -6,7 +6,7 @@ from itertools import chain
 import msgspec
 import numpy as np
 
-from canskin.messages import Contact, Contacts, GatewayStatus, Image, Label, Mark, Truth, is_label
+from canskin.messages import Contact, Contacts, GatewayStatus, Image, Label, Mark, ServiceStatus, Truth, is_label
 from skin.layout import Layout
 from skin.wall_times import END_NS
 
@@ -26,7 +26,7 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
 
     Images and truths: finite forces of this skin's taxels; times and cycles in range. Contacts: centres on this skin,
     finite forces, numbers in range. Labels: a confidence of 0 to 1. Marks: a name that an object can have. Counters of
-    the gateway: a state of each node.
+    the gateway: a state of each node. Times of services: finite.
     """
     match message:
         case Image():
@@ -55,7 +55,8 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
                 numbers += [bus.load_ratio, bus.mean_load_ratio, *chain(*bus.answer_s, *bus.heartbeat_s)]
             has_states = all(len(bus.nmt) == len(bus.nodes) for bus in message.buses)
             return has_states and all(map(math.isfinite, numbers))
-    return not isinstance(message, Mark) or is_label(message.label)
+    is_finite = not isinstance(message, ServiceStatus) or math.isfinite(message.processor_s)
+    return is_finite and (not isinstance(message, Mark) or is_label(message.label))
 
 
 def _contact_fits(contact: Contact, layout: Layout) -> bool:

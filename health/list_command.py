@@ -13,7 +13,8 @@ from canskin.fabric import Fabric
 from canskin.messages import IMAGE, LABEL, MEASUREMENT, TRUTH, NmtState, Topic
 from canskin.peers import GATEWAYS, Peer
 from canskin.session import DEFAULT_ENDPOINT, peers_at
-from health.hub_look import HubLook
+from health.causes import Cause
+from health.feed import Watched
 from health.snapshot import Snapshot
 from shell.skin_options import PATIENCE_S, hub_layout, knows_layout
 from shell.terminal import Json, print_json, print_table
@@ -103,7 +104,7 @@ def _heard(
     Topics that the role of the keys may not hear are missing, as are those of other skins.
     """
     counts: Counter[tuple[str, str]] = Counter()
-    looks: dict[str, HubLook] = {}
+    looks: dict[str, Watched] = {}
 
     def count(key: tuple[str, str], *_: object) -> None:
         counts[key] += 1
@@ -118,9 +119,9 @@ def _heard(
                     counts.setdefault((skin, topic.name), 0)
             if isinstance(layout, Layout):
                 with suppress(DeniedError):
-                    looks[skin] = HubLook(layout, fabric)
+                    looks[skin] = Watched(layout, fabric)
         time.sleep(seconds)
-        return counts, {skin: look.snapshot() for skin, look in looks.items()}
+        return counts, {skin: look.look() for skin, look in looks.items()}
 
 
 def _listed(
@@ -135,6 +136,8 @@ def _listed(
         state = f"{nmt.count(NmtState.OPERATIONAL)} of {len(nmt)} nodes operational"
     others = {each.service for each in peers if each.skin == peer.skin} - {peer.service}
     mine = [each.code for each in look.notices if each.subject == peer.service] if look else []
+    if look is None and peer.service in GATEWAYS and rate_hz == 0:  # nor does it tell the layout
+        mine = [Cause.GATEWAY_SILENT.code]
     if look and peer.service in GATEWAYS:
         mine = [each.code for each in look.notices if each.subject not in others]
     return Listed(

@@ -1,5 +1,6 @@
 """The services of a skin: which are there, since when, and whether they can work with this skin."""
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import Final, TypeVar
 
@@ -11,6 +12,8 @@ from health.snapshot import Service
 
 #: Most services kept; the service that has been gone for longest is dropped first.
 SERVICES: Final = 64
+#: Counters of a process (`canskin.messages.ServiceStatus`) whose sums are those of its service.
+COUNTERS: Final = ("processor_s", "missed", "overruns")
 #: Most tokens kept, tokens of other skins included, and most services whose own figures are kept.
 PEERS: Final = 256
 #: What services tell of themselves once a second is of no use after this time.
@@ -41,7 +44,6 @@ class Told:
         self.status, self.at_s = status, now_s
         span_s = (status.time_ns - before.time_ns) * 1e-9
         if span_s > 0:  # else its wall clock was set back
-            # What is no number becomes 0.
             self.processor_ratio = max(0.0, status.processor_s - before.processor_s) / span_s
             self.made_per_s = max(0, status.made - before.made) / span_s
         if self.lost > lost:
@@ -69,10 +71,16 @@ class Services:
         self._peers: dict[str, Peer] = {}
         self._services: dict[str, Service] = {}
         self._told: dict[str, Told] = {}
+        self._sums: dict[str, Counter[str]] = {}
 
     def take_status(self, status: ServiceStatus, now_s: float) -> None:
         """Note what a service told of itself at `now_s`."""
-        told = self._told.pop(status.instance, None) or Told(status, now_s)
+        told = self._told.pop(status.instance, None)
+        if status.service in self._sums or len(self._sums) < SERVICES:
+            sums = self._sums.setdefault(status.service, Counter())
+            for name in COUNTERS:  # a sum never goes back
+                sums[name] += max(0, getattr(status, name) - (getattr(told.status, name) if told else 0))
+        told = told or Told(status, now_s)
         told.take(status, now_s)
         self._told[status.instance] = told
         if len(self._told) > PEERS:
@@ -114,7 +122,10 @@ class Services:
 
     def _state(self, name: str, now_s: float) -> Service:
         """Return the state of a service; of several with one name, of one that cannot work with this skin."""
-        peers, service = self.peers(name), self._services[name]
+        peers, service = (
+            self.peers(name),
+            msgspec.structs.replace(self._services[name], **self._sums.get(name, Counter())),
+        )
         if not peers:
             return service
         peer = next((each for each in peers if self._own.difference(each)), peers[-1])
@@ -130,7 +141,6 @@ class Services:
             memory_bytes=_sum(each.status.memory_bytes or None for each in told),
             processor_ratio=_sum(each.processor_ratio for each in told),
             made_per_s=_sum(each.made_per_s for each in told),
-            lost=sum(each.lost for each in told),
             loses_since_time_s=self._epoch_s + min(loses_since_s) if loses_since_s else None,
         )
 

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import SILENT, BusState, Contacts, GatewayStatus, Label, NmtState, NodesStatus
+from canskin.messages import SILENT, BusState, Contacts, Fault, GatewayStatus, Label, NmtState, NodesStatus
 
 Pixels = npt.NDArray[np.float32]
 #: States of the gateway's controller in which it neither sends nor receives.
@@ -60,8 +60,9 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     memory_bytes, processor_ratio, made_per_s : int or float, or None
         Of the last second, as `canskin.messages.ServiceStatus` tells: resident memory, processor time / time, and what
         the service made. Those of all services of this name together; None if none tells.
-    lost : int
-        Messages that did not come, or came too fast, since the start of the processes.
+    processor_s, missed, overruns : float or int, or None
+        As `canskin.messages.ServiceStatus` tells: the sums of all processes of this name, also of those that have
+        ended; None if none has told.
     loses_since_time_s : float or None
         Wall-clock time since when more and more are lost.
     """
@@ -76,8 +77,15 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     memory_bytes: int | None = None
     processor_ratio: float | None = None
     made_per_s: float | None = None
-    lost: int = 0
+    processor_s: float | None = None
+    missed: int | None = None
+    overruns: int | None = None
     loses_since_time_s: float | None = None
+
+    @property
+    def lost(self) -> int:
+        """Messages that did not come, or came too fast."""
+        return (self.missed or 0) + (self.overruns or 0)
 
 
 class ImageState(msgspec.Struct, frozen=True, kw_only=True):
@@ -352,8 +360,10 @@ def bus_views(status: GatewayStatus, troubles: Mapping[str, list[NodeTrouble]]) 
 
 def _bus_view(bus: BusState, troubles: list[NodeTrouble], *, runs: bool) -> BusView:
     is_dead = bus.link in DEAD_LINKS
-    is_gone = is_dead or (runs and NmtState.OPERATIONAL not in bus.nmt)
-    has_trouble = bus.trouble or set(bus.nmt) != {NmtState.OPERATIONAL}
+    away = {node for node, fault in bus.faults.items() if fault.kind is Fault.AWAY}
+    wanted = {nmt for node, nmt in zip(bus.nodes, bus.nmt, strict=True) if node not in away}
+    is_gone = is_dead or (runs and bool(wanted) and NmtState.OPERATIONAL not in wanted)
+    has_trouble = bus.trouble or wanted - {NmtState.OPERATIONAL}
     more = {
         "nmt": list(bus.nmt),
         "dead": is_dead,

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from reconstructor.corrections import Corrections
 from reconstructor.engine import Reconstructor
-from reconstructor.gains import GainCorrection, KnownGains
-from reconstructor.masked import MaskedTaxels
+from reconstructor.gains import KnownGains
 from reconstructor.options import SolverOptions
 from reconstructor.stepped import SteppedImager
 from skin.calibration_file import load_calibration
@@ -45,23 +45,13 @@ class CycleImager:
         self._phi = layout.operator()
         self.about, self.solver = _about(chosen), _solver(layout, self._phi, chosen)
         self.warm_up = self.solver.warm_up
-        self._newton_per_count = np.float32(layout.taxels.newton_per_count)
-        self._corrections: list[GainCorrection | MaskedTaxels] = []
-        if gains is not None:
-            self._corrections.append(GainCorrection(layout.phi(), gains))
-        if layout.taxels.masked:
-            self._corrections.append(MaskedTaxels(layout))
+        self._corrections = Corrections(layout, gains)
 
     def solve(self, sums: MeasuredSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
-        sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        valid_sums = sums.valid_sums
-        for each in self._corrections:
-            sums_n, valid_sums = each.apply(sums_n, valid_sums)
+        sums_n, valid_sums = self._corrections.apply(sums.counts, sums.valid_sums)
         image = self.solver.solve(sums_n, valid_sums, self._phi.of_cycle(sums.cycle))
-        for each in reversed(self._corrections):
-            image = each.keep(image)
-        return image, valid_sums
+        return self._corrections.keep(image), valid_sums
 
 
 def _about(options: SolverOptions) -> str:

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.corrections import Corrections
 from reconstructor.engine import Reconstructor
-from reconstructor.masked import MaskedTaxels
 from reconstructor.walsh import WalshReconstructor
 from skin.layout import Layout
 from skin.measured_sums import SteppedSums, decode_stepped
@@ -41,20 +41,17 @@ class SteppedImager:
         self._shape = (layout.blocks, layout.measurement.block_size)
         #: A patch's sums come by Hadamard row, and are solved group by group.
         self._rows = grouped_rows(layout.measurement.block_size).ravel()
-        self._newton_per_count = np.float32(taxels.newton_per_count)
-        self._masked = MaskedTaxels(layout) if taxels.masked else None
+        self._corrections = Corrections(layout)
 
     def solve(self, sums: SteppedSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """See `reconstructor.imaging.CycleImager.solve`; the image is 0 while no sum is known."""
-        sums_n, known = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32), sums.known
-        if self._masked is not None:
-            sums_n, known = self._masked.apply(sums_n, known)
+        sums_n, known = self._corrections.apply(sums.counts, sums.known)
         if self._solver is not None:
             image = self._solver.solve(sums_n, known)
         else:
             self._walsh.noise_n = sums.noise_n or NOISE_N
             image = self._walsh.solve(self._grouped(sums_n), None if known.all() else self._grouped(known))
-        return image if self._masked is None else self._masked.keep(image), known
+        return self._corrections.keep(image), known
 
     def _grouped(self, of_sums: Any) -> Any:
         return np.take(of_sums.reshape(self._shape), self._rows, axis=1)

@@ -1,13 +1,15 @@
 """Messages of a small skin."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
+from canskin.fabric import Fabric, Unread
+from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Topic, Truth
 from canskin.peers import Peer
 from health.state import ViewState
 from skin.layout import Layout
@@ -30,6 +32,26 @@ def seen_of(state: ViewState, now_s: float, **options: int) -> Any:
 def palm_layout(**tables: Any) -> Layout:
     """Return the layout of the small skin, with more tables."""
     return small_layout(16, 16, name="palm", bus=buses(4, 4, names=("left", "right")), **tables)
+
+
+class FabricStub:
+    """Stands for a fabric: keeps who hears messages by topic, and who hears of peers."""
+
+    def __init__(self) -> None:
+        self.malformed = 0
+        self.handlers: dict[str, Callable[[Unread], None]] = {}
+        self.changed: Callable[[Peer, bool], None] = print
+
+    @property
+    def fabric(self) -> Fabric:
+        """This, as a fabric."""
+        return cast("Fabric", self)
+
+    def subscribe_unread(self, topic: Topic, handler: Callable[[Unread], None]) -> None:
+        self.handlers[topic.name] = handler
+
+    def watch_peers(self, changed: Callable[[Peer, bool], None]) -> None:
+        self.changed = changed
 
 
 @dataclass

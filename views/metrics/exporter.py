@@ -1,6 +1,5 @@
 """All skins of a hub: each is joined as soon as its layout is told, and shown to whoever scrapes."""
 
-import threading
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import closing
@@ -14,8 +13,8 @@ from canskin.errors import SkinError
 from canskin.fabric import Fabric
 from canskin.peers import Peer
 from canskin.session import Stop
-from health.backlog import Backlog
 from health.causes import Cause
+from health.feed import Feed
 from shell.service import say
 from shell.skin_options import hub_layout, join, knows_layout
 from skin.layout import Layout
@@ -36,23 +35,17 @@ class _Skin:
     """A running skin: the fabric's threads bring the messages, and others ask for the figures."""
 
     def __init__(self, layout: Layout, figures: SkinFigures, endpoint: str, stop: Stop) -> None:
-        self._figures, self._lock = figures, threading.RLock()
-        self._backlog = Backlog(figures.take, self._lock)
+        self._figures = figures
         self.fabric = join(layout, SERVICE, endpoint, stop=stop, prepare=self._prepare)
 
     def figures(self) -> list[Figure]:
         missed = sum(self.fabric.missed.counts().values())
-        with self._lock:
-            found = list(self._figures.figures(self._backlog.read(), self.fabric.malformed))
+        with self._feed.lock:
+            found = list(self._figures.figures(self._feed.read(), self._feed.malformed))
         return [*found, ("canskin_messages_missed_total", (SERVICE,), missed)]
 
     def _prepare(self, fabric: Fabric) -> None:
-        self._backlog.join(fabric, FIGURE_TOPICS)
-        fabric.watch_peers(self._changed)
-
-    def _changed(self, peer: Peer, alive: bool) -> None:
-        with self._lock:
-            self._figures.take_peer(peer, alive, time.monotonic())
+        self._feed = Feed(fabric, FIGURE_TOPICS, self._figures.take, self._figures.take_peer)
 
 
 class Exporter(Collector):

@@ -1,13 +1,11 @@
 """The figures of one skin, by the names under which Prometheus has them. Time is an argument; nothing is connected."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from math import isfinite
 from typing import Final
 
 import msgspec
 
-from canskin.messages import TRUTH, GatewayStatus, Image, ServiceStatus
+from canskin.messages import TRUTH, GatewayStatus, Image
 from canskin.peers import Peer
 from health.state import TOPICS, ViewState
 from skin.layout import Layout
@@ -33,15 +31,15 @@ FIGURES: Final[dict[str, tuple[tuple[str, ...], str]]] = {
     "canskin_service_overruns_total": (("service",), "Messages for which a service was too slow."),
     "canskin_messages_missed_total": (("service",), "Messages that the fabric dropped."),
 }
-#: Of these a service tells its own, since the start of its process, in a field of `ServiceStatus`.
+#: Of these a service tells its own, in a field of `health.snapshot.Service`.
 _TOLD: Final = {
+    "canskin_service_memory_bytes": "memory_bytes",
     "canskin_service_processor_seconds_total": "processor_s",
     "canskin_service_overruns_total": "overruns",
     "canskin_messages_missed_total": "missed",
 }
-#: Most causes of a skin at once, the worst first, and most names of services: both come from other programs.
+#: Most causes of a skin at once, the worst first: other programs name what they are about.
 CAUSES_MAX: Final = 128
-SERVICES_MAX: Final = 64
 #: Most characters of what a cause is about.
 SUBJECT_MAX: Final = 200
 #: Node-IDs of CANopen (CiA 301).
@@ -74,9 +72,6 @@ class SkinFigures:
         self._buses = {bus.name for bus in layout.bus}
         self._sampled_ns = 0
         self._gateway: GatewayStatus | None = None
-        #: What each process told last, and by service the sums of its processes, also of those that have ended.
-        self._told: dict[str, ServiceStatus] = {}
-        self._sums: dict[str, Counter[str]] = {}
 
     def take_peer(self, peer: Peer, alive: bool, now_s: float) -> None:
         """Note that a service came or went at `now_s`."""
@@ -92,20 +87,6 @@ class SkinFigures:
                 self._observe(max(0.0, (message.published_mono_ns - message.sampled_mono_ns) * 1e-9))
             case GatewayStatus():
                 self._gateway = message
-            case ServiceStatus() if isfinite(message.processor_s):
-                self._add(message)
-
-    def _add(self, status: ServiceStatus) -> None:
-        """Add what a process has taken since it told before: a counter of its service never goes back."""
-        if status.service not in self._sums and len(self._sums) >= SERVICES_MAX:
-            return
-        before = self._told.pop(status.instance, None)
-        sums = self._sums.setdefault(status.service, Counter())
-        for name, field in _TOLD.items():
-            sums[name] += max(0, getattr(status, field) - (getattr(before, field) if before else 0))
-        self._told[status.instance] = status
-        if len(self._told) > SERVICES_MAX:
-            del self._told[next(iter(self._told))]
 
     def figures(self, now_s: float, undecodable: int = 0) -> Iterator[Figure]:
         """Yield all figures of `now_s`; gauges of what is not known are left out."""
@@ -124,10 +105,8 @@ class SkinFigures:
             if state.gateway is not None and not state.gateway.stale:
                 yield from self._gauges(self._gateway)
         for name, service in state.services.items():
-            if service.memory_bytes is not None:
-                yield "canskin_service_memory_bytes", (name,), service.memory_bytes
-        for name, sums in self._sums.items():
-            yield from ((figure, (name,), value) for figure, value in sums.items())
+            told = ((figure, getattr(service, field)) for figure, field in _TOLD.items())
+            yield from ((figure, (name,), value) for figure, value in told if value is not None)
 
     @staticmethod
     def _counters(status: GatewayStatus) -> Iterator[Figure]:

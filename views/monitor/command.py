@@ -17,15 +17,13 @@ from rich.control import Control
 from rich.segment import ControlType
 from rich.text import Text
 
-from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, NODES, SERVICES
-from health.arrivals import Arrivals
+from health.feed import Watched
 from health.snapshot import Snapshot
-from health.state import ViewState
 from shell.pulse import PERIOD_S, Pulse
 from shell.service import StopSignal, Talk, set_talk
 from shell.skin_options import PATIENCE_S, SkinOptions
-from skin.layout import Layout, require_boards
+from skin.layout import require_boards
 from views.monitor.drawing import ALIASES, SHOWN, screen, whole
 
 SERVICE: Final = "monitor"
@@ -33,8 +31,6 @@ SERVICE: Final = "monitor"
 TOPICS: Final = (IMAGE, CONTACTS, LABEL, GATEWAY, NODES, SERVICES)
 #: Between two frames.
 FRAME_S: Final = 0.1
-#: Most messages of a topic that wait for a frame: at the highest SYNC rate those of two.
-DEPTH: Final = 512
 #: Time in which each service tells of itself twice, so that there are rates.
 GATHER_S: Final = 2 * PERIOD_S + 0.5
 #: Keys of several bytes, and by how many lines they move: arrows, page up and down.
@@ -47,23 +43,6 @@ LINES: Final = 24
 
 _KEY: Final = re.compile(rb"\x1b\[[\d;]*.|.", re.DOTALL)
 _KEY_BYTES: Final = 64
-
-
-class Watched:
-    """The state of a running skin, from the messages of its fabric."""
-
-    def __init__(self, layout: Layout, fabric: Fabric) -> None:
-        self._state = ViewState(layout, time.time() - time.monotonic(), SERVICE)
-        self._arrivals = Arrivals(fabric, TOPICS, DEPTH)
-
-    def snapshot(self) -> Snapshot:
-        """Take what has come, and return the state of now."""
-        taken, now_s = self._arrivals.take(0.0), time.monotonic()
-        for peer, is_alive in self._arrivals.peers():
-            self._state.take_peer(peer, is_alive, now_s)
-        for message in taken:
-            self._state.take(message, now_s)
-        return self._state.snapshot(now_s, self._arrivals.malformed)[0]
 
 
 class Display:
@@ -141,7 +120,7 @@ def monitor(*, of: SkinOptions | None = None) -> None:
     stop = StopSignal().install()
     pulse = Pulse(stop)
     with closing(of.join(skin, SERVICE, pulse, PATIENCE_S)) as fabric:
-        pulse.fabric, watched, console = fabric, Watched(skin, fabric), Console()
+        pulse.fabric, watched, console = fabric, Watched(skin, fabric, TOPICS), Console()
         if not sys.stdout.isatty() or console.is_dumb_terminal:
             print_once(watched, stop)
             return

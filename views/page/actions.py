@@ -10,9 +10,9 @@ from canskin.connection import RECORDER
 from canskin.errors import RunError
 from canskin.fabric import Fabric
 from canskin.messages import MARK, Mark, check_label
-from views.page.feed import Feed
 from views.page.playback import SPEED_MAX, SPEED_MIN, Playback
 from views.page.record_process import RecorderProcess
+from views.page.shown import Live
 
 #: All names.
 ACTIONS: Final = ("tare", "record", "mark", "play")
@@ -52,11 +52,11 @@ class Action(NamedTuple):
     act: Callable[[Any], str]
 
 
-def live_actions(feed: Feed, fabric: Fabric, recorder: RecorderProcess) -> dict[str, Action]:
+def live_actions(live: Live, fabric: Fabric, recorder: RecorderProcess) -> dict[str, Action]:
     """Return what can be asked of a running skin, by name."""
 
     def tare(asked: Tare) -> str:
-        taxels = feed.layout.taxels
+        taxels = live.layout.taxels
         request = tare_request(taxels.rows, taxels.columns, force=asked.force, region=asked.region)
         reply: CalibrationReply = fabric.ask(CALIBRATION, request, ANSWER_S)
         if not reply.is_done:
@@ -68,12 +68,12 @@ def live_actions(feed: Feed, fabric: Fabric, recorder: RecorderProcess) -> dict[
     def record(asked: Record) -> str:
         if not asked.on:
             return recorder.stop()
-        before = feed.running(RECORDER)
-        return recorder.start(lambda: bool(feed.running(RECORDER) - before))
+        before = live.running(RECORDER)
+        return recorder.start(lambda: bool(live.running(RECORDER) - before))
 
     def mark(asked: SetMark) -> str:
         label = check_label(asked.label)
-        if not feed.running(RECORDER):
+        if not live.running(RECORDER):
             raise RunError("nothing is recorded, and the mark would be lost: start a recording first")
         fabric.publish(MARK, Mark(label=label))
         return f"marked: {label}" if label else "marked: no label from now on"

@@ -21,8 +21,8 @@ from starlette.websockets import WebSocket
 from canskin.errors import SkinError
 from views.colours import script
 from views.page.actions import ACTIONS, Action
-from views.page.feed import Shown
 from views.page.guard import HEALTH, Access, Guard
+from views.page.shown import Shown
 from views.page.stream import FrameStream, serve_page
 from views.page.wire import frame, greeting
 

@@ -24,10 +24,10 @@ from skin.layout import require_boards
 from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
 from views.page.connections import BACKLOG, HEADERS_BYTES_MAX, Connection
-from views.page.feed import Feed
 from views.page.guard import Access
 from views.page.playback import Playback
 from views.page.record_process import RecorderProcess
+from views.page.shown import Live
 
 #: When the server ends, pages get this long to close their connections.
 FAREWELL_S: Final = 1
@@ -84,11 +84,10 @@ def view(
         fabric = pulse.fabric = closes.enter_context(closing(of.join(skin, "viewer", pulse)))
         if stop.is_set():
             return
-        feed = Feed(skin)
-        feed.recorder = closes.enter_context(closing(RecorderProcess(recordings, of.endpoint, skin.name)))
-        feed.join(fabric)
-        actions = live_actions(feed, fabric, feed.recorder) if control or not access.is_shared else {}
-        _serve(build_app(feed, access, actions), access, listener, pulse)
+        recorder = closes.enter_context(closing(RecorderProcess(recordings, of.endpoint, skin.name)))
+        live = Live(skin, fabric, recorder)
+        actions = live_actions(live, fabric, recorder) if control or not access.is_shared else {}
+        _serve(build_app(live, access, actions), access, listener, pulse)
 
 
 def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:

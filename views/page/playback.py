@@ -14,7 +14,7 @@ from health.state import STATUS_FRESH_S, TOPICS
 from recording.mcap_file import Read, read_few, read_messages, span_ns
 from shell.service import say
 from skin.layout import Layout
-from views.page.feed import Shown
+from views.page.shown import Shown
 
 SPEED_MIN: Final = 0.05
 SPEED_MAX: Final = 20.0

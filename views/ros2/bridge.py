@@ -5,9 +5,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+import msgspec
+
 from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.fabric import Fabric
-from health.arrivals import Arrivals
+from health.feed import Feed
 from health.state import ViewState
 from shell.pulse import Beat, unheard
 from shell.service import LOOK_S, StopSignal
@@ -48,17 +50,7 @@ class Bridge:
         self._publishers = {topic: node.publisher(topic) for topic in ROS_TOPICS}
         self._due_s = clock_s()
         node.serve_trigger(TARE, partial(tare, fabric))
-        self._arrivals = Arrivals(fabric, SKIN_TOPICS)
-
-    @property
-    def skipped(self) -> int:
-        """Messages of the fabric that a newer message of their topic replaced before they were published."""
-        return self._arrivals.skipped
-
-    @property
-    def published(self) -> dict[str, int]:
-        """Number of messages by name of the topic."""
-        return {topic.name: publisher.published for topic, publisher in self._publishers.items()}
+        self._feed = Feed(fabric, SKIN_TOPICS, self._publish, self._state.take_peer, newest=True, clock_s=clock_s)
 
     def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
         """Publish until `stop`."""
@@ -68,18 +60,17 @@ class Bridge:
 
     def turn(self, timeout_s: float) -> None:
         """Publish what waits; wait for messages at most `timeout_s`."""
-        taken, now_s = self._arrivals.take(timeout_s), self._clock_s()
-        for peer, is_alive in self._arrivals.peers():
-            self._state.take_peer(peer, is_alive, now_s)
-        for message in taken:
-            for topic, make in self._translator.take(message, now_s):
-                publisher = self._publishers[topic]
-                if publisher.has_readers:
-                    publisher.publish(make())
+        now_s = self._feed.read(timeout_s)
         if now_s >= self._due_s:
             self._due_s = now_s + DIAGNOSTICS_S
-            told = self._translator.diagnostics(now_s, time.time_ns(), self._arrivals.malformed)
+            told = self._translator.diagnostics(now_s, time.time_ns(), self._feed.malformed)
             self._publishers[DIAGNOSTIC_ARRAY].publish(told)
+
+    def _publish(self, message: msgspec.Struct, at_s: float) -> None:
+        for topic, make in self._translator.take(message, at_s):
+            publisher = self._publishers[topic]
+            if publisher.has_readers:
+                publisher.publish(make())
 
 
 def tare(fabric: Fabric) -> tuple[bool, str]:

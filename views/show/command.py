@@ -5,11 +5,12 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Annotated
 
+import msgspec
 from cyclopts import Parameter
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
-from health.arrivals import Arrivals
+from health.feed import Feed
 from shell.pulse import Beat, Pulse, unheard
 from shell.service import LOOK_S, StopSignal, say
 from shell.skin_options import Insecure, SkinOptions
@@ -71,14 +72,14 @@ def show(
 
 def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal, beat: Beat = unheard) -> Painter:
     """Draw the newest messages of a running skin until `stop`."""
-    painter, arrivals = Painter(layout, canvas), Arrivals(fabric, TOPICS)
+    painter = Painter(layout, canvas)
+
+    def take(message: msgspec.Struct, at_s: float) -> None:
+        painter.take(message, at_s, time.time_ns())
+
+    feed = Feed(fabric, TOPICS, take, painter.take_peer, newest=True)
     while not stop.is_set():
-        taken, now_s, time_ns = arrivals.take(LOOK_S), time.monotonic(), time.time_ns()
-        for peer, is_alive in arrivals.peers():
-            painter.take_peer(peer, is_alive, now_s)
-        for message in taken:
-            painter.take(message, now_s, time_ns)
-        painter.look(now_s, time_ns, arrivals.malformed)
+        painter.look(feed.read(LOOK_S), time.time_ns(), feed.malformed)
         beat(0)
     return painter
 

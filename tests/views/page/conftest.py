@@ -21,8 +21,8 @@ from tests.browser import Browser, chromium
 from views.page.actions import Action, Play, Record, SetMark, Tare
 from views.page.app import build_app
 from views.page.command import server_config
-from views.page.feed import Feed
 from views.page.guard import Access
+from views.page.shown import Live
 
 
 class Chain:
@@ -68,11 +68,11 @@ class Chain:
         self.reconstructor.close()
 
 
-class ShownFeed(Feed):
-    """A feed whose snapshots also show what a test sets."""
+class ShownLive(Live):
+    """A running skin whose snapshots also show what a test sets."""
 
-    def __init__(self, layout: Layout) -> None:
-        super().__init__(layout)
+    def __init__(self, layout: Layout, fabric: Fabric) -> None:
+        super().__init__(layout, fabric)
         self.shows: dict[str, RecorderState | PlaybackState | None] = {}
 
     def snapshot(self) -> tuple[Snapshot, Pictures]:
@@ -83,9 +83,9 @@ class ShownFeed(Feed):
 class Doer:
     """Stands for what the page can ask for: notes each request, and refuses as the services do."""
 
-    def __init__(self, feed: ShownFeed) -> None:
+    def __init__(self, live: ShownLive) -> None:
         self.asked: list[Any] = []
-        self._feed = feed
+        self._live = live
 
     def actions(self, *names: str) -> dict[str, Action]:
         all_ = {"tare": Tare, "record": Record, "mark": SetMark, "play": Play}
@@ -97,13 +97,13 @@ class Doer:
             case Tare(force=False, region=None):
                 raise RunError("something touches the skin; by force, what touches it becomes part of the zero")
             case Record(on=on):
-                self._feed.shows["recorder"] = RecorderState(path="palm.mcap", since_time_s=time.time()) if on else None
+                self._live.shows["recorder"] = RecorderState(path="palm.mcap", since_time_s=time.time()) if on else None
                 return "recording to palm.mcap" if on else "12 messages in palm.mcap"
-            case SetMark() if not self._feed.shows.get("recorder"):
+            case SetMark() if not self._live.shows.get("recorder"):
                 raise RunError("nothing is recorded")
             case Play():
                 changed = {name: each for name in asked.__struct_fields__ if (each := getattr(asked, name)) is not None}
-                self._feed.shows["playback"] = msgspec.structs.replace(self._feed.shows["playback"], **changed)
+                self._live.shows["playback"] = msgspec.structs.replace(self._live.shows["playback"], **changed)
         return "done"
 
 
@@ -120,8 +120,8 @@ class _Server(uvicorn.Server):
 class Server:
     """The page's server in this process, on a port that stays the same when it is started again."""
 
-    def __init__(self, feed: ShownFeed) -> None:
-        self.feed, self.doer, self.access = feed, Doer(feed), Access()
+    def __init__(self, live: ShownLive) -> None:
+        self.live, self.doer, self.access = live, Doer(live), Access()
         self.actions = self.doer.actions("tare", "record", "mark")
         self.port = 0
         self.start()
@@ -129,7 +129,7 @@ class Server:
     def start(self) -> None:
         listener = socket.create_server(("127.0.0.1", self.port))
         self.port = listener.getsockname()[1]
-        self._server = _Server(server_config(build_app(self.feed, self.access, self.actions)))
+        self._server = _Server(server_config(build_app(self.live, self.access, self.actions)))
         self._thread = threading.Thread(target=self._server.run, args=([listener],))
         self._thread.start()
 
@@ -159,9 +159,7 @@ def chain(messages: Any, hub: Fabric, endpoint: str) -> Iterator[Chain]:
 @pytest.fixture
 def server(messages: Any, chain: Chain, endpoint: str) -> Iterator[Server]:
     fabric = Fabric(messages.layout.name, "viewer", endpoint)
-    feed = ShownFeed(messages.layout)
-    feed.join(fabric)
-    server = Server(feed)
+    server = Server(ShownLive(messages.layout, fabric))
     yield server
     server.stop()
     fabric.close()

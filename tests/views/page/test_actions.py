@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import pytest
@@ -15,13 +15,14 @@ from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MARK
 from canskin.peers import Peer, new_peer
 from shell.skin_options import join
+from tests.health.helpers import FabricStub
 from tests.recording.helpers import messages_of
 from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
-from views.page.feed import Feed
 from views.page.guard import Access
 from views.page.playback import Playback
 from views.page.record_process import RecorderProcess
+from views.page.shown import Live
 
 with warnings.catch_warnings():  # it would rather stand on httpx2
     warnings.simplefilter("ignore", StarletteDeprecationWarning)
@@ -30,10 +31,11 @@ with warnings.catch_warnings():  # it would rather stand on httpx2
 PAGE = "http://127.0.0.1:8765"
 
 
-class Gateway:
+class Gateway(FabricStub):
     """Stands for the fabric with a gateway."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.asked: list[CalibrationRequest] = []
         self.published: list[Any] = []
         self.reply = CalibrationReply(is_done=True, text="zero of 64 sums")
@@ -73,13 +75,11 @@ class Skin:
     """A page's server with stand-ins behind it."""
 
     def __init__(self, messages: Any) -> None:
-        self.gateway, self.recorder, self.feed = Gateway(), Recorder(), Feed(messages.layout)
-        fabric: Any = self.gateway
-        recorder: Any = self.recorder
-        self.access = Access()
-        self.client = client_of(
-            build_app(self.feed, self.access, live_actions(self.feed, fabric, recorder)), self.access
-        )
+        self.gateway, self.recorder, self.access = Gateway(), Recorder(), Access()
+        live, recorder = Live(messages.layout, self.gateway.fabric), cast("RecorderProcess", self.recorder)
+        self.name = messages.layout.name
+        actions = live_actions(live, self.gateway.fabric, recorder)
+        self.client = client_of(build_app(live, self.access, actions), self.access)
 
     def post(self, name: str, content: Any, **headers: str) -> tuple[int, Any]:
         answer = self.client.post(f"/api/{name}", json=content, headers={"origin": PAGE, **headers})
@@ -88,8 +88,8 @@ class Skin:
         ] == "application/json" else answer.text
 
     def recorder_joins(self) -> Peer:
-        peer = new_peer(self.feed.layout.name, "recorder", "")
-        self.feed._changed(peer, True)
+        peer = new_peer(self.name, "recorder", "")
+        self.gateway.changed(peer, True)
         return peer
 
 
@@ -130,9 +130,9 @@ def test_a_mark_needs_a_recorder(skin: Skin) -> None:
 def test_a_recording_has_begun_when_another_recorder_is_there(skin: Skin) -> None:
     older = skin.recorder_joins()
     assert skin.post("record", {"on": True}) == (200, {"text": "recording to run.mcap"})
-    skin.feed._changed(msgspec.structs.replace(older, scheduling="realtime"), True)
+    skin.gateway.changed(msgspec.structs.replace(older, scheduling="realtime"), True)
     assert not skin.recorder.joined()
-    skin.feed._changed(older, False)
+    skin.gateway.changed(older, False)
     skin.recorder_joins()
     assert skin.recorder.joined()
     assert skin.post("record", {"on": False}) == (409, {"error": "no recording is being made"})
@@ -184,7 +184,7 @@ def test_no_program_without_the_token_can_tare_a_skin(skin: Skin) -> None:
 
 def test_a_server_that_only_shows_says_so(messages: Any) -> None:
     access = Access()
-    with client_of(build_app(Feed(messages.layout), access), access) as client:
+    with client_of(build_app(Live(messages.layout, FabricStub().fabric), access), access) as client:
         answer = client.post("/api/tare", json={}, headers={"origin": PAGE})
         assert (answer.status_code, "start 'skin view --control'" in answer.json()["error"]) == (403, True)
         with client.websocket_connect("ws://127.0.0.1:8765/ws") as socket:
@@ -219,26 +219,25 @@ def test_a_recording_can_be_played_and_not_tared(messages: Any, tmp_path: Path) 
 def test_a_recorder_begins_marks_and_ends_as_a_process(messages: Any, endpoint: str, tmp_path: Path) -> None:
     name, hub = messages.layout.name, join(messages.layout, "gateway", endpoint, hub=True)
     fabric = Fabric(name, "viewer", endpoint)
-    feed = Feed(messages.layout)
-    feed.recorder = RecorderProcess(tmp_path, endpoint, name)
-    feed.join(fabric)
-    actions = live_actions(feed, fabric, feed.recorder)
+    recorder = RecorderProcess(tmp_path, endpoint, name)
+    live = Live(messages.layout, fabric, recorder)
+    actions = live_actions(live, fabric, recorder)
 
     def act(action: str, **content: Any) -> str:
         return actions[action].act(actions[action].asked(**content))
 
     try:
         assert act("record", on=True).startswith(f"recording to {tmp_path}/{name}-")
-        state = feed.snapshot()[0].recorder
+        state = live.snapshot()[0].recorder
         assert state is not None
         with pytest.raises(RunError, match="a recording is being made"):
             act("record", on=True)
         assert act("mark", label="cup") == "marked: cup"
         hub.publish(GATEWAY, messages.gateway())
         assert "messages in" in act("record", on=False)
-        assert feed.snapshot()[0].recorder is None
+        assert live.snapshot()[0].recorder is None
         assert [each.label for each in messages_of(Path(state.path), MARK)] == ["cup"]
     finally:
-        feed.recorder.close()
+        recorder.close()
         fabric.close()
         hub.close()

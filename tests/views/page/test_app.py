@@ -12,9 +12,10 @@ from starlette.exceptions import StarletteDeprecationWarning
 
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, LONGEST_LABEL, NODES, TRUTH
+from tests.health.helpers import FabricStub
 from tests.processes import PATIENCE_S
 from views.page.app import build_app
-from views.page.feed import Feed
+from views.page.shown import Live
 
 with warnings.catch_warnings():  # it would rather stand on httpx2
     warnings.simplefilter("ignore", StarletteDeprecationWarning)
@@ -22,13 +23,13 @@ with warnings.catch_warnings():  # it would rather stand on httpx2
 
 
 @pytest.fixture
-def feed(messages: Any) -> Feed:
-    return Feed(messages.layout)
+def live(messages: Any) -> Live:
+    return Live(messages.layout, FabricStub().fabric)
 
 
 @pytest.fixture
-def client(feed: Feed) -> Iterator[TestClient]:
-    with TestClient(build_app(feed), base_url="http://127.0.0.1:8765") as client:
+def client(live: Live) -> Iterator[TestClient]:
+    with TestClient(build_app(live), base_url="http://127.0.0.1:8765") as client:
         yield client
 
 
@@ -98,8 +99,7 @@ def test_name_pointed_at_this_machine_is_refused(client: TestClient) -> None:
 
 def test_messages_from_the_fabric_are_shown(messages: Any, hub: Fabric, endpoint: str) -> None:
     fabric = Fabric(messages.layout.name, "viewer", endpoint)
-    feed = Feed(messages.layout)
-    feed.join(fabric)
+    live = Live(messages.layout, fabric)
     pause = threading.Event()
     for cycle in range(1, round(PATIENCE_S / 0.02)):
         hub.publish(IMAGE, messages.image(cycle))
@@ -107,7 +107,7 @@ def test_messages_from_the_fabric_are_shown(messages: Any, hub: Fabric, endpoint
         hub.publish(LABEL, messages.label())
         hub.publish(GATEWAY, messages.gateway())
         hub.publish(NODES, messages.nodes())
-        state = feed.snapshot()[0]
+        state = live.snapshot()[0]
         if state.image and state.truth and state.label and state.gateway and state.nodes and state.services:
             break
         pause.wait(0.02)

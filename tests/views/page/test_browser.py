@@ -122,9 +122,9 @@ def test_the_past_is_shown_and_said_until_live_again(page: Browser, server: Serv
         "the frame of the instant did not come",
     )
     before = pixels(page, "image")
-    before_n = server.feed.snapshot()[0].patches[0].force_n or 0.0
+    before_n = server.live.snapshot()[0].patches[0].force_n or 0.0
     chain.force_n = 0.02
-    page.until(lambda: (server.feed.snapshot()[0].patches[0].force_n or 0.0) > 1.5 * before_n, "the force did not come")
+    page.until(lambda: (server.live.snapshot()[0].patches[0].force_n or 0.0) > 1.5 * before_n, "the force did not come")
     said = page.text("#instant")
     page.until(lambda: page.text("#instant") != said, "the pause does not grow older")
     assert re.match(r"\d\d:\d\d:\d\d\.\d, [\d.]+ m?s? ?ago", page.text("#instant"))
@@ -174,7 +174,7 @@ def test_the_history_is_whole_in_a_window_of_1280_by_800(page: Browser, server: 
     def play() -> None:
         server.stop()
         server.actions = {}
-        server.feed.shows["playback"] = PLAYED
+        server.live.shows["playback"] = PLAYED
         server.start()
         page.until(lambda: page.ask("document.getElementById('mark').hidden"), "a recording can be marked")
 
@@ -226,7 +226,7 @@ def test_five_minutes_are_drawn_with_their_gaps(browser: Browser, server: Server
 
 def test_a_recording_is_said_and_moved(page: Browser, server: Server) -> None:
     assert page.ask("document.querySelector('#playing').hidden")
-    server.feed.shows["playback"] = PLAYED
+    server.live.shows["playback"] = PLAYED
     server.actions.clear()
     server.actions.update(server.doer.actions("play"))
     page.until(lambda: page.text("#playing") == "RECORDING cup.mcap", "the recording was not said")
@@ -240,7 +240,7 @@ def test_a_recording_is_said_and_moved(page: Browser, server: Server) -> None:
     press(page, "Home")
     page.until(lambda: page.text("#instant").startswith("0:00.0"), "it was not moved to its begin")
     page.ask("((select) => { select.value = '2'; select.onchange(); })(document.querySelector('#speed select'))")
-    page.until(lambda: server.feed.shows["playback"].speed == 2.0, "the speed was not set")  # type: ignore[union-attr]
+    page.until(lambda: server.live.shows["playback"].speed == 2.0, "the speed was not set")  # type: ignore[union-attr]
 
 
 def test_actions_are_asked_for_and_answered(page: Browser, server: Server, chain: Chain) -> None:

@@ -10,13 +10,14 @@ import httpx
 import pytest
 import uvicorn
 
+from tests.health.helpers import FabricStub
 from tests.processes import PATIENCE_S
 from views.page.actions import Action, SetMark
 from views.page.app import build_app
 from views.page.command import server_config
 from views.page.connections import CONNECTIONS_OF_ADDRESS_MAX, REQUEST_S, WITHOUT_TOKEN_MAX
-from views.page.feed import Feed
 from views.page.guard import Access
+from views.page.shown import Live
 
 ACCESS = Access()
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"
@@ -43,7 +44,9 @@ class Serving:
         self.port = listener.getsockname()[1]
         self.is_asked, self.may_answer = threading.Event(), threading.Event()
         actions = {"mark": Action(SetMark, self._mark)}
-        self.server = uvicorn.Server(server_config(build_app(Feed(messages.layout), ACCESS, actions)))
+        self.server = uvicorn.Server(
+            server_config(build_app(Live(messages.layout, FabricStub().fabric), ACCESS, actions))
+        )
         self._thread = threading.Thread(target=self.server.run, args=([listener],))
         self._thread.start()
 

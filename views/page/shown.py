@@ -1,4 +1,4 @@
-"""From the fabric to `ViewState`: a lock lets messages come and snapshots be taken at any time."""
+"""What the page shows: a lock lets messages come and snapshots be taken at any time."""
 
 import threading
 import time
@@ -8,8 +8,7 @@ from typing import Any
 import msgspec
 
 from canskin.fabric import Fabric
-from canskin.peers import Peer
-from health.backlog import Backlog
+from health.feed import Feed
 from health.snapshot import Pictures, Snapshot
 from health.state import TOPICS, ViewState
 from skin.layout import Layout
@@ -19,7 +18,7 @@ from views.page.wire import frame
 
 
 class Shown(ABC):
-    """What the page shows: a skin (`Feed`) or a recording (`views.page.playback.Playback`).
+    """What the page shows: a skin (`Live`) or a recording (`views.page.playback.Playback`).
 
     Parameters
     ----------
@@ -72,37 +71,33 @@ class Shown(ABC):
         """Return the snapshot of a time."""
 
 
-class Feed(Shown):
-    """A running skin, whose messages the fabric's threads bring."""
+class Live(Shown):
+    """A running skin, whose messages the fabric's threads bring.
 
-    def __init__(self, layout: Layout) -> None:
+    Parameters
+    ----------
+    recorder : RecorderProcess, optional
+        Makes recordings of the skin.
+    """
+
+    def __init__(self, layout: Layout, fabric: Fabric, recorder: RecorderProcess | None = None) -> None:
         super().__init__(layout, time.time() - time.monotonic())
-        self._backlog = Backlog(self._take, self._lock)
-        self._fabric: Fabric | None = None
-        self.recorder: RecorderProcess | None = None
-
-    def join(self, fabric: Fabric) -> None:
-        """Subscribe to all topics that the page shows."""
-        self._fabric = fabric
-        self._backlog.join(fabric, TOPICS)
-        fabric.watch_peers(self._changed)
+        self._recorder = recorder
+        self._feed = Feed(fabric, TOPICS, self._take, self._state.take_peer)
+        self._lock = self._feed.lock
 
     def running(self, service: str) -> set[str]:
         """Return the services of this name that the skin has now, see `ViewState.running`."""
         with self._lock:
+            self._read()
             return self._state.running(service)
 
     def _read(self) -> float:
-        return self._backlog.read()
+        return self._feed.read()
 
     def _snapshot(self, now_s: float, *, is_single: bool = False) -> tuple[Snapshot, Pictures]:
-        malformed = self._fabric.malformed if self._fabric else 0
-        snapshot, pictures = self._state.snapshot(now_s, malformed, is_single=is_single)
-        if self.recorder is not None:
-            more = self.recorder.notices + snapshot.notices
-            snapshot = msgspec.structs.replace(snapshot, recorder=self.recorder.state, notices=more)
+        snapshot, pictures = self._state.snapshot(now_s, self._feed.malformed, is_single=is_single)
+        if self._recorder is not None:
+            more = self._recorder.notices + snapshot.notices
+            snapshot = msgspec.structs.replace(snapshot, recorder=self._recorder.state, notices=more)
         return snapshot, pictures
-
-    def _changed(self, peer: Peer, alive: bool) -> None:
-        with self._lock:
-            self._state.take_peer(peer, alive, time.monotonic())
