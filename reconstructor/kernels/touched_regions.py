@@ -102,7 +102,7 @@ def no_regions(surface: Surface, places: npt.NDArray[np.float64]) -> Regions:
     count = len(places)
     pairs, touched = np.zeros((count, 2), np.int32), np.full(count + 1, -1, np.int32)
     numbers, scratch = np.zeros((3, count), np.int32), np.zeros(count, np.int32)
-    return Regions(*neighbour_tables(surface), places, *numbers, pairs, touched, scratch)
+    return Regions._make([*neighbour_tables(surface), places, *numbers, pairs, touched, scratch])
 
 
 @njit(cache=True, nogil=True)
