@@ -170,8 +170,14 @@ def _typed(mend: str, of: SkinOptions, can: BusOptions | None) -> str:
     asking, at_buses = arguments(of), arguments(can) if can else []
     beside, alone = [*asking, *at_buses], [*arguments(SkinOptions(of.layout)), *at_buses]
     given = {
-        **{"reconstruct": asking, "tare": asking, "calibration show": asking, "scan": beside, "load": beside},
-        **{"node check": alone, "commission": alone, "gateway": alone},
+        "reconstruct": asking,
+        "tare": asking,
+        "calibration show": asking,
+        "scan": beside,
+        "load": beside,
+        "node check": alone,
+        "commission": alone,
+        "gateway": alone,
     }
     verb = rf"'skin ({'|'.join(given)})([^']*)'"
     return re.sub(verb, lambda found: f"'{shlex.join(['skin', *found[1].split(), *given[found[1]]])}{found[2]}'", mend)
