@@ -89,6 +89,8 @@ def test_a_bus_of_another_bit_rate_and_boards_that_are_not_there(
     with serving("bus0", "bus1"):
         _, found = examined("--layout", palm)
     assert "all nodes never heard" in found["node-absent"]["text"]
+    assert f"'skin scan --layout={palm} --connect=tcp/" in found["node-absent"]["mend"]
+    assert f"'skin gateway --layout={palm}'" in found["hub-away"]["mend"]
 
 
 @pytest.mark.parametrize(
