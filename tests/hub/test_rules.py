@@ -150,7 +150,7 @@ def test_a_program_is_told_its_role_what_it_may_not_and_who_may(hub: Hub) -> Non
             keys=Keys(hub.folder / "client"),
             prepare=lambda it: it.subscribe(TRUTH, print),
         )
-    with pytest.raises(BusError, match="role 'viewer' may not appear as 'gateway', 'gateway' may"):
+    with pytest.raises(BusError, match="role 'viewer' may not appear as 'gateway', 'gateway', 'run' may"):
         Fabric("palm", "gateway", hub.endpoint, keys=keys)
     with pytest.raises(BusError, match=r"keys .*viewer: they are of skin 'palm', not of 'hand'"):
         Fabric("hand", "viewer", hub.endpoint, keys=keys)
