@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shell.compiled import Held, borrowed, njit
+from shell.compiled import borrowed, njit
 from skin.surface import Surface
 
 #: Columns of the table of `cut`: sum of the force, largest force, number of taxels, first and last row, first
@@ -106,14 +106,15 @@ def no_regions(surface: Surface, places: npt.NDArray[np.float64]) -> Regions:
 
 
 @njit(cache=True, nogil=True)
-def cut(image: Any, edge: float, least_peak: float, held: Held) -> Any:
+def cut(image: Any, edge: float, least_peak: float, held: Any) -> Any:
     """Cut an image, shape (rows, columns), into parts, one for each pair of region and owner; return their table.
 
     A region is neighbouring taxels above `edge`, one of them above `least_peak`. Each taxel of a region has the owner
     that it had, else that of the taxels uphill of it. Where two owners meet, the border between them follows the
     valley: taxels within `BORDER` of another owner are given anew. Owners spread from their other taxels to their
     neighbours, over the largest force first. A region without owner keeps 0.
-    `Regions` are held with the owners of the image before, and set anew. The table has shape (parts, FEATURES + D).
+    `held` are `Regions` (`shell.compiled.hold`) with the owners of the image before, and set anew. The table has shape
+    (parts, FEATURES + D).
     """
     regions = borrowed(held.value)
     force = image.ravel()
@@ -127,7 +128,7 @@ def cut(image: Any, edge: float, least_peak: float, held: Held) -> Any:
 
 @njit(cache=True, nogil=True)
 def give_owners(  # noqa: PLR0917 - compiled
-    owner_of_part: Any, image: Any, measured: Any, doubtful: Any, held: Held, table: Any
+    owner_of_part: Any, image: Any, measured: Any, doubtful: Any, held: Any, table: Any
 ) -> None:
     """Give the taxels of each part its new owner.
 
