@@ -115,7 +115,7 @@ def monitor(*, of: SkinOptions | None = None) -> None:
     skin monitor --connect tcp/10.0.0.5:7447
     """
     of = of or SkinOptions()
-    skin = of.find()
+    skin = of.find(SERVICE)
     require_boards(skin)
     stop = StopSignal().install()
     pulse = Pulse(stop)
