@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from cyclopts import Parameter
 
@@ -12,6 +12,9 @@ from bus.link import ARBITRATED, SOCKETCAN, Link, check_channels, open_link
 from canskin.errors import InputError
 from shell.service import StopSignal
 from skin.layout import Layout
+
+if TYPE_CHECKING:
+    from bus.server import BusServer
 
 #: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0
@@ -64,6 +67,22 @@ def virtual_bit_rates(layout: Layout) -> tuple[int, int]:
     if len(rates) > 1:
         raise InputError("virtual buses of one server all have the same bit rates; this layout has several")
     return rates.pop()
+
+
+def serve_buses(layout: Layout, options: BusOptions) -> "BusServer | None":
+    """Serve the buses of a layout; return None where that cannot be, so that `open_links` opens them or says why not.
+
+    The interface is no virtual bus, another process serves a bus, or bit rates differ.
+    """
+    if options.interface != ARBITRATED or options.bus_option:
+        return None
+    from bus.server import AlreadyServedError, BusServer, BusSettings
+
+    try:
+        bitrate, data_bitrate = virtual_bit_rates(layout)
+        return BusServer(channels(layout, options), BusSettings(bitrate=bitrate, data_bitrate=data_bitrate))
+    except (AlreadyServedError, InputError):
+        return None
 
 
 def open_links(

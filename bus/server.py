@@ -1,12 +1,13 @@
-"""The process of the virtual buses: named buses on Unix sockets."""
+"""The server of virtual buses: named buses on Unix sockets, and for links of its own process."""
 
 import contextlib
 import errno
 import os
 import select
 import socket
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Self
@@ -14,7 +15,8 @@ from typing import Final, Self
 import msgspec
 
 from bus.faults import Fault
-from bus.link import ARBITRATED, check_channels
+from bus.link import ARBITRATED, Link, check_channels
+from bus.local import LocalLink
 from bus.protocol import (
     MAX_PACKET,
     Hello,
@@ -84,6 +86,7 @@ class _Line:
     path: Path
     pending: list[socket.socket] = field(default_factory=list)
     sessions: list[Session] = field(default_factory=list)
+    local: list[LocalLink] = field(default_factory=list)
     delivered_ns: int = 0
     #: When the next delivery is due, None without one; made anew in each turn.
     wake_ns: int | None = None
@@ -92,13 +95,19 @@ class _Line:
         return self.listener.fileno()
 
 
+class AlreadyServedError(BusError):
+    """Another process serves a bus of that name."""
+
+
 class BusServer:
     """Serves buses; a context manager that removes the sockets at the end.
 
     Raises
     ------
+    AlreadyServedError
+        If a bus of that name is already served.
     BusError
-        If a bus of that name is already served, or its socket cannot be made.
+        If its socket cannot be made.
     """
 
     def __init__(self, channels: Sequence[str], settings: BusSettings, folder: Path | None = None) -> None:
@@ -136,13 +145,47 @@ class BusServer:
         while not stopped():
             self.turn()
 
-    def turn(self) -> None:
-        """Sleep until a client sends or a frame ends, and handle it."""
+    @contextlib.contextmanager
+    def beside(self) -> Iterator[None]:
+        """Serve in a thread while the body of the ``with`` block waits for others."""
+        done = threading.Event()
+        thread = threading.Thread(target=self.serve, args=(done.is_set,), name="buses")
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+    def join(self, channel: str, name: str) -> LocalLink:
+        """Return a link of this process, whose thread serves, to one of the buses."""
+        line = next(line for line in self._lines if line.channel == channel)
+        link = LocalLink(line.bus, name, self.settings.queue_size)
+        line.local.append(link)
+        return link
+
+    def ready(self, links: Iterable[Link], wait_s: float, *, whole: bool) -> Collection[Link]:
+        """Serve until frames came for links of this process, at most for `wait_s`; with `whole` all that time.
+
+        Returns
+        -------
+        collection of Link
+            Those with frames.
+        """
+        until_s = time.monotonic() + wait_s
+        while True:
+            self.turn(max(0.0, until_s - time.monotonic()))
+            ready = [link for link in links if isinstance(link, LocalLink) and link.is_ready]
+            if (ready and not whole) or time.monotonic() >= until_s:
+                return ready
+
+    def turn(self, wait_s: float = IDLE_S) -> None:
+        """Sleep until a client sends or a frame ends, at most for `wait_s`, and handle it."""
         readers: list[_Line | socket.socket | Session] = [*self._lines]
         for line in self._lines:
             readers += [*line.pending, *line.sessions]
         writers = [session for line in self._lines for session in line.sessions if session.blocked]
-        readable, writable, _ = select.select(readers, writers, [], self._sleep_s())
+        readable, writable, _ = select.select(readers, writers, [], min(wait_s, self._sleep_s()))
         self._now_ns = time.monotonic_ns()  # all frames of one turn take part in the same arbitration
         if readable:
             self._hear(set(readable))
@@ -291,6 +334,8 @@ class BusServer:
             return
         line.delivered_ns = now_ns
         batch = Batch(events)
+        for link in line.local:
+            link.offer(batch)
         for session in list(line.sessions):
             try:
                 session.offer(batch, line.bus.now_ns)
@@ -339,7 +384,7 @@ def _remove_stale(path: Path, channel: str) -> None:
         except ConnectionRefusedError:
             path.unlink(missing_ok=True)
         else:
-            raise BusError(f"{channel} is already served at {path}: stop that process, or set SKIN_BUS_DIR")
+            raise AlreadyServedError(f"{channel} is already served at {path}: stop that process, or set SKIN_BUS_DIR")
 
 
 def _read_hello(connection: socket.socket) -> Hello:

@@ -9,7 +9,7 @@ import numpy as np
 from bus.outbox import OTHERS, OWNER, Events
 from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Kind
 from bus.station import Station
-from dbc.frame import ECHO, ERROR, Frames
+from dbc.frame import ECHO, ERROR, Frames, frames
 
 #: Most received frames kept for a client that does not read; later frames are lost and counted.
 BACKLOG_FRAMES: Final = 16384
@@ -33,6 +33,24 @@ class Batch:
         self.others: Frames = every.copy() if events.plain else every[events.audience & OTHERS != 0]
         self.others["port"] = 0
         self.payload = self.others.tobytes()
+
+    def of(self, station: Station) -> Frames:
+        """Return the records for a station, its own frames marked as echoes; `others` itself where that is all."""
+        if station.number not in self.owners:
+            return frames(0) if station.off else self.others
+        events = self.events
+        if events.plain and len(self.owners) == 1:
+            echoes: Frames = events.frames.copy()
+            echoes["flags"] |= ECHO
+            return echoes
+        mine = events.owner == station.number
+        wanted = np.where(mine, OWNER, 0 if station.off else OTHERS)
+        keep = events.audience & wanted != 0
+        chosen: Frames = events.frames[keep]
+        own = mine[keep]
+        chosen["port"] *= own
+        chosen["flags"] |= np.where(own & (chosen["flags"] & ERROR == 0), np.uint8(ECHO), np.uint8(0))
+        return chosen
 
 
 class Session:
@@ -60,12 +78,7 @@ class Session:
 
     def offer(self, batch: Batch, now_ns: int) -> None:
         """Send the client its records of a batch."""
-        if self.station.number in batch.owners:
-            chosen = self._with_echoes(batch)
-        elif self.station.off:
-            return
-        else:
-            chosen = batch.others
+        chosen = batch.of(self.station)
         if chosen is batch.others and len(chosen) <= MAX_FRAMES and not self._backlog:
             if len(chosen) and not self._send(len(chosen), batch.payload, now_ns):
                 self._keep(chosen)
@@ -102,19 +115,3 @@ class Session:
             self._backlog[-1] = np.concatenate((self._backlog[-1], kept))
         else:
             self._backlog.append(kept)
-
-    def _with_echoes(self, batch: Batch) -> Frames:
-        """Choose the records for this station, and mark its own frames as echoes."""
-        events = batch.events
-        if events.plain and len(batch.owners) == 1:
-            echoes: Frames = events.frames.copy()
-            echoes["flags"] |= ECHO
-            return echoes
-        mine = events.owner == self.station.number
-        wanted = np.where(mine, OWNER, 0 if self.station.off else OTHERS)
-        keep = events.audience & wanted != 0
-        chosen: Frames = events.frames[keep]
-        own = mine[keep]
-        chosen["port"] *= own
-        chosen["flags"] |= np.where(own & (chosen["flags"] & ERROR == 0), np.uint8(ECHO), np.uint8(0))
-        return chosen

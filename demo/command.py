@@ -11,7 +11,7 @@ from shell.terminal import Json, print_json, print_table
 def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
     """Press and slide objects on a skin and show the whole chain at work.
 
-    Starts virtual buses, nodes, gateway, reconstructor, classifier and web page as separate processes, runs for a
+    Starts nodes with virtual buses, gateway, reconstructor, classifier and web page as separate processes, runs for a
     while, and ends with a summary and a picture.
 
     Parameters

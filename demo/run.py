@@ -160,7 +160,6 @@ class Run:
 
     def _start_services(self, endpoint: str) -> None:
         options, start, common = self._options, self._supervisor.start, self._common(endpoint)
-        start("bus", "bus", *self._of_layout)
         touch = options.touch
         rest = []
         if touch.input is None and options.has_zero_errors(self._layout):

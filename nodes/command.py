@@ -1,19 +1,20 @@
 """``skin nodes``: the virtual nodes of a skin."""
 
 import math
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from bus.options import BusOptions, open_links
+from bus.options import BusOptions, channels, closing_links, open_links, serve_buses
 from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from nodes.firmware.library import Firmware
 from nodes.sending import sending_of
-from nodes.service import NodesService
+from nodes.service import NodesService, wait_on_sockets
 from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import join
@@ -38,6 +39,8 @@ def nodes(
     firmware: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run the virtual CANopen nodes of a skin.
+
+    Virtual buses that no ``skin bus`` serves are served by the nodes, as long as they run.
 
     Parameters
     ----------
@@ -98,17 +101,25 @@ def nodes(
         compiled = Firmware(contract, mine, store=store, unnumbered=unnumbered)
     blocks = [node.block for node in mine]
     hardware = sending_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
-    links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
-    joined = pulse.fabric = join(skin, "nodes", connect, stop=pulse) if fabric else None
-    service = NodesService(
-        contract, links, chosen, hardware, joined, store=store, unnumbered=unnumbered, firmware=compiled
-    )
-    count = sum(map(len, chosen.values()))
-    say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}")
-    try:
-        service.run(stop, pulse.beat)
-    finally:
-        for link in links.values():
-            link.close()
+    options = bus or BusOptions()
+    with ExitStack() as last:
+        server = serve_buses(skin, options)
+        if server is None:
+            links = open_links(skin, options, chosen, name="nodes", stop=stop)
+        else:
+            last.enter_context(server)
+            names = channels(skin, options)
+            links = {number: server.join(names[number], "nodes") for number in chosen}
+        last.enter_context(closing_links(links))
+        with nullcontext() if server is None else server.beside():  # the gateway, which may be the hub, waits for a bus
+            joined = pulse.fabric = join(skin, "nodes", connect, stop=pulse) if fabric else None
         if joined is not None:
-            joined.close()
+            last.callback(joined.close)
+        wait = wait_on_sockets if server is None else server.ready
+        service = NodesService(
+            contract, links, chosen, hardware, joined, store=store, unnumbered=unnumbered, firmware=compiled, wait=wait
+        )
+        count = sum(map(len, chosen.values()))
+        served = "" if server is None else ", which this process serves"
+        say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}{served}")
+        service.run(stop, pulse.beat)

@@ -28,6 +28,18 @@ LAST_FRAMES_S: Final = 0.5
 PREPARE_FROM: Final = 0.3
 
 
+#: Waits for frames at most for a number of seconds, with ``whole=True`` all that time; returns links with frames.
+Wait = Callable[..., Collection[Link]]
+
+
+def wait_on_sockets(links: Collection[Link], wait_s: float, *, whole: bool) -> Collection[Link]:
+    """Wait as `Wait` does on links that have sockets."""
+    if whole:
+        time.sleep(max(0.0, wait_s))
+    ready: list[Link] = select.select(links, [], [], 0.0 if whole else wait_s)[0]
+    return ready
+
+
 class NodesService:
     """Virtual nodes on one or more buses.
 
@@ -47,6 +59,8 @@ class NodesService:
         Whether nodes without a stored node-ID wait for LSS.
     firmware : Firmware, optional
         Compiled for these nodes: C boards run in place of nodes in Python. The hardware is made for them.
+    wait : Wait, optional
+        Waits for frames; default: on sockets.
     clock : callable, optional
         Monotonic time in seconds.
     """
@@ -62,6 +76,7 @@ class NodesService:
         store: Path | None = None,
         unnumbered: bool = False,
         firmware: Firmware | None = None,
+        wait: Wait = wait_on_sockets,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         def new_segment(bus: int, link: Link) -> Segment:
@@ -76,7 +91,7 @@ class NodesService:
         self._links = dict(links)
         self._hardware = hardware
         self._fabric = fabric
-        self._clock = clock
+        self._wait, self._clock = wait, clock
         self._status_at_s = 0.0
         self._prepare_after_s = PREPARE_FROM * contract.layout.sync.period_s if len(links) > 1 else 0.0
 
@@ -95,8 +110,7 @@ class NodesService:
         """Wait for the echoes of frames that may still be sent, so that the counters tell what receivers got."""
         until_s = time.monotonic() + LAST_FRAMES_S
         while self._hardware.is_sending and (left_s := until_s - time.monotonic()) > 0:
-            ready, _, _ = select.select(list(self._links.values()), [], [], left_s)
-            self._receive(ready, self._clock())
+            self._receive(self._wait(self._links.values(), left_s, whole=False), self._clock())
 
     def _receive(self, ready: Collection[Link], now_s: float) -> None:
         for bus, link in self._links.items():
@@ -105,13 +119,10 @@ class NodesService:
 
     def turn(self) -> None:
         """Wait for frames up to `TURN_S`, or for the next sample; handle frames, and do what is due by time."""
-        links = list(self._links.values())
-        if self._hardware.due_s == NEVER_S:
-            ready, _, _ = select.select(links, [], [], TURN_S)
-        else:
-            # One turn for each sample: frames wait for it, a millisecond at most.
-            time.sleep(max(0.0, min(self._hardware.due_s - self._clock(), TURN_S)))
-            ready, _, _ = select.select(links, [], [], 0)
+        # With samples by time one turn for each sample: frames wait for it, a millisecond at most.
+        is_timed = self._hardware.due_s != NEVER_S
+        wait_s = min(self._hardware.due_s - self._clock(), TURN_S)
+        ready = self._wait(self._links.values(), wait_s, whole=is_timed)
         now_s = self._clock()
         self._receive(ready, now_s)
         for segment in self.segments.values():

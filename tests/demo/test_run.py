@@ -118,7 +118,7 @@ def test_interruption_before_the_first_cycle_has_no_summary(number: signal.Signa
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path
     )
     try:
-        Processes(tmp_path).until(lambda: bool(list(tmp_path.glob(f"{PREFIX}*/bus.log"))), "a process of the run")
+        Processes(tmp_path).until(lambda: bool(list(tmp_path.glob(f"{PREFIX}*/nodes.log"))), "a process of the run")
         process.send_signal(number)
         out, said = process.communicate(timeout=240)
     finally:

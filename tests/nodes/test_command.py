@@ -11,6 +11,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
 from nodes import command
 from nodes.sampler import Sampler
+from nodes.service import wait_on_sockets
 from shell import skin_options
 from shell.pulse import Beat
 from shell.service import StopSignal
@@ -51,6 +52,7 @@ class Parts:
                 assert stop is parts.links[1]["stop"]
                 raise KeyboardInterrupt
 
+        monkeypatch.setattr(command, "serve_buses", lambda *_: None)
         monkeypatch.setattr(command, "open_links", open_links)
         monkeypatch.setattr(skin_options, "Fabric", fabric)
         monkeypatch.setattr(command, "NodesService", Service)
@@ -78,7 +80,7 @@ def test_chosen_nodes_join_their_buses_and_the_fabric(
     assert parts.fabric[0] == (contract.layout.name, "nodes", "tcp/far:7")
     assert parts.fabric[1]["fingerprint"] == contract.phi.fingerprint
     assert parts.service[2] == {1: {2}, 3: {1, 2}}
-    assert parts.named == {"store": store, "unnumbered": False, "firmware": None}
+    assert parts.named == {"store": store, "unnumbered": False, "firmware": None, "wait": wait_on_sockets}
     assert store.is_dir()
     assert sorted(parts.closed) == ["bus1", "bus3", "fabric"]
     assert capsys.readouterr().err == "nodes: 3 nodes on 2 buses\n"
@@ -146,7 +148,7 @@ def test_boards_in_c_are_those_of_the_chosen_nodes_and_get_what_converters_read(
     }
     boards = parts.run(TouchOptions(["cup"]), **options)
     assert compiled == [(parts.service[0], [(0, 1), (0, 2), (0, 4)])]
-    assert parts.named == {"store": None, "unnumbered": True, "firmware": "compiled"}
+    assert parts.named == {"store": None, "unnumbered": True, "firmware": "compiled", "wait": wait_on_sockets}
     assert boards.sample(1, 0).shape == shape
 
 

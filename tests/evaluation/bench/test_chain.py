@@ -12,7 +12,7 @@ def test_processes_and_steps_of_a_run(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.setattr(chain, "LAYOUTS", (slow_layout(tmp_path, 20),))
     monkeypatch.setattr(chain, "RUN_S", 2.0)
     processors, steps = chain.run(rounds=1).values()
-    assert processors[0].keys() == {"skin", "bus", "nodes", "reconstructor", "classifier", "viewer", "gateway"}
+    assert processors[0].keys() == {"skin", "nodes", "reconstructor", "classifier", "viewer", "gateway"}
     assert all(ratio > 0 for name, ratio in processors[0].items() if name not in {"skin", "viewer"})
     assert [row["step"] for row in steps][-1] == "in all"
     assert all(row["images"] > 0 for row in steps)

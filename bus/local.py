@@ -1,0 +1,82 @@
+"""The link to a bus that the same process serves: frames are handed over, without a socket."""
+
+import time
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from bus.error_frames import State
+from bus.protocol import check_frames, padded
+from bus.session import BACKLOG_FRAMES, Batch
+from bus.simulated_bus import SimulatedBus
+from dbc.frame import Frames, frames
+
+
+class LocalLink:
+    """A station of a bus of `bus.server.BusServer` in its own process: a `bus.link.Link`.
+
+    The server gives it frames in its turns; it is used by the thread of these turns.
+
+    Parameters
+    ----------
+    name : str
+        Faults select the station by it.
+    queue_size : int
+        Number of frames in the transmit queue of each controller.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of frames lost because `receive` was not called.
+    """
+
+    proves_echo: Final = True
+    stamp_error_ns: Final = 0
+
+    def __init__(self, bus: SimulatedBus, name: str, queue_size: int) -> None:
+        self.dropped = 0
+        self._bus = bus
+        self._station = bus.attach(name, queue_size)
+        self._arrived: deque[Frames] = deque()
+
+    def fileno(self) -> int:
+        """Return -1: there is nothing to select; `bus.server.BusServer.ready` tells when frames wait."""
+        return -1
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether frames wait."""
+        return bool(self._arrived)
+
+    @property
+    def state(self) -> State:
+        """State of the controller that is worst off."""
+        return self._station.state
+
+    def explain(self) -> str:
+        """Return nothing: all is known from `state`."""
+        return ""
+
+    def offer(self, batch: Batch) -> None:
+        """Take the records of a batch that are for this station."""
+        chosen = batch.of(self._station)
+        if len(self._arrived) == BACKLOG_FRAMES:
+            self.dropped += len(self._arrived.popleft())
+        if len(chosen):
+            self._arrived.append(chosen)
+
+    def receive(self) -> Frames:
+        """Return all waiting frames, echoes of own frames included, in bus order."""
+        arrived = np.concatenate((frames(0), *self._arrived)) if len(self._arrived) != 1 else self._arrived[0]
+        self._arrived.clear()
+        return arrived
+
+    def send(self, burst: Frames) -> int:
+        """Put frames into the transmit queues that their `port` names, as `bus.arbitrated.ArbitratedLink.send`."""
+        check_frames(burst, fd=self._bus.data_bitrate is not None)
+        return self._bus.submit(self._station, padded(burst), time.monotonic_ns())
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._bus.detach(self._station)
