@@ -16,8 +16,8 @@ from rich.console import Console
 from calibration.windows import tare_s
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
+from canskin.keys import UNIX
 from canskin.peers import Peer, Roll
-from canskin.session import UNIX
 from classifier.newest_sums import averaged_cycles
 from demo.options import DemoOptions
 from demo.picture import save_picture

@@ -20,6 +20,7 @@ from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
 from gateway.stepped_state import COUNTED, NEVER_NS, forget, new_sums, slots_of, take_all
 from gateway.sum_requests import SumRequests
+from shell.compiled import hold
 
 #: Measurements in a second, with news and at least; the limits of other rates.
 RATES_HZ: Final = (250.0, 10.0)
@@ -86,11 +87,12 @@ class SteppedGathering:
         self._shortest_s, self._longest_s = (1 / rate_hz for rate_hz in rates_hz)
         self.published = self.complete = 0
         self._contract, self._table = contract, contract.parts
-        self._slots, self._state = slots_of(contract), new_sums(contract)
+        self._state = new_sums(contract)
         self._all_missing = self._state.missing.copy()
         self._told_different = self._state.different.copy()
         self._counts_per_unit = contract.unit_n / contract.layout.taxels.newton_per_count
         self._is_proven = np.zeros(contract.phi.blocks, np.bool_)
+        self._known = hold((self._is_proven, slots_of(contract), self._table, self._state))
         self._shown = new_states(contract, round(now_s * 1e9))
         self._noise_n = np.full(contract.phi.blocks, np.nan)
         self._median_n = 0.0
@@ -142,7 +144,7 @@ class SteppedGathering:
         Frames before the end of a node's proof are not used, nor those that came together with it.
         """
         mine, state = self._buses[batch.bus], self._state
-        newest_ns, taken_ns = take_all(batch, self._is_proven, self._slots, self._table, state)
+        newest_ns, taken_ns = take_all(batch, self._known)
         mine.newest_ns = max(mine.newest_ns, newest_ns)
         if newest_ns > self._newest_ns:
             error_ns, self._newest_ns = health.stamp_error_ns, newest_ns
@@ -239,5 +241,4 @@ class SteppedGathering:
         self._has_news = True
 
     def _judge(self, now_s: float) -> None:
-        known = self._is_proven, self._slots, self._table, self._state
-        judge(round(now_s * 1e9), self._counts_per_unit, *known, self._shown)
+        judge(round(now_s * 1e9), self._counts_per_unit, self._known, self._shown)

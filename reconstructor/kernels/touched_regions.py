@@ -40,29 +40,29 @@ def neighbour_tables(surface: Surface) -> tuple[npt.NDArray[np.int32], npt.NDArr
     A step leads along an edge, or to a taxel with a common neighbour at most `DIAGONAL_RATIO` times the pitch away: so
     on a grid in eight directions, and never across a gap.
     """
-    from scipy.sparse import coo_array  # no verb waits for SciPy that has no need of it
-
-    count = len(surface.positions_m)
-    first, second = surface.edges.T
-    edges = coo_array((np.ones(len(first), np.intp), (first, second)), shape=(count, count)).tocsr()
-    edges += edges.T
-    near = (edges + edges @ edges).tocoo()
-    apart_m = np.linalg.norm(surface.positions_m[near.row] - surface.positions_m[near.col], axis=1)
-    kept = (apart_m <= DIAGONAL_RATIO * surface.pitch_m) | (edges[near.row, near.col] > 0)
-    step = coo_array((near.data[kept], (near.row[kept], near.col[kept])), shape=(count, count)).tocsr()
+    edges = np.concatenate((surface.edges, surface.edges[:, ::-1]))
+    along = _table(edges, len(surface.positions_m))
+    near = _two_steps(along, along)
+    apart_m = np.linalg.norm(np.subtract(*surface.positions_m[near.T]), axis=1)
+    step = _table(np.concatenate((edges, near[apart_m <= DIAGONAL_RATIO * surface.pitch_m])), len(along))
     within = step
     for _ in range(BORDER - 1):
-        within = within + within @ step
-    return _table(step), _table(within)
+        within = _table(_two_steps(within, step), len(step))
+    return step, within
 
 
-def _table(pairs: Any) -> npt.NDArray[np.int32]:
-    """Return the table of the pairs of a sparse matrix, without those of a taxel and itself."""
-    pairs = pairs.tocoo()
-    order = np.lexsort((pairs.col, pairs.row))
-    taxel, other = pairs.row[order], pairs.col[order]
-    taxel, other = taxel[taxel != other], other[taxel != other]
-    degrees = np.bincount(taxel, minlength=pairs.shape[0])
+def _two_steps(first: npt.NDArray[np.int32], second: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Return pairs of taxels, shape (count, 2), that two steps or one lead to: a table names the taxel itself, too."""
+    other = second[first].reshape(len(first), -1)
+    return np.stack((np.repeat(np.arange(len(first), dtype=np.int32), other.shape[1]), other.ravel()), axis=1)
+
+
+def _table(pairs: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int32]:
+    """Return the table of pairs of `count` taxels, without those of a taxel and itself."""
+    taxel, other = pairs[pairs[:, 0] != pairs[:, 1]].astype(np.int64).T
+    places = np.sort(taxel * count + other)  # np.unique takes 20 times as long
+    taxel, other = np.divmod(places[np.diff(places, prepend=-1) > 0], count)
+    degrees = np.bincount(taxel, minlength=count)
     table = np.repeat(np.arange(len(degrees), dtype=np.int32)[:, None], degrees.max(initial=1), axis=1)
     table[taxel, np.arange(len(taxel)) - np.repeat(np.cumsum(degrees) - degrees, degrees)] = other
     return table
