@@ -120,7 +120,7 @@ def monitor(*, of: SkinOptions | None = None) -> None:
     stop = StopSignal().install()
     pulse = Pulse(stop)
     with closing(of.join(skin, SERVICE, pulse, PATIENCE_S)) as fabric:
-        pulse.fabric, watched, console = fabric, Watched(skin, fabric, TOPICS), Console()
+        pulse.fabric, watched, console = fabric, Watched(skin, fabric, TOPICS, polled=True), Console()
         if not sys.stdout.isatty() or console.is_dumb_terminal:
             print_once(watched, stop)
             return
