@@ -322,6 +322,8 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
         The whole skin, then its regions; empty before the first image.
     other_skins : list of str
         Names of other skins whose services are on the hub.
+    ignored : int
+        Messages that did not fit the skin; 0 when none has come lately.
     """
 
     time_s: float
