@@ -59,13 +59,14 @@ class Feed:
     ) -> None:
         self.lock = threading.RLock()
         self._fabric, self._take, self._newest, self._clock_s = fabric, take, newest, clock_s
-        self._arrived = threading.Condition()
+        #: Set by messages: nobody waits for peers.
+        self._arrived, self._put_lock = threading.Event(), threading.Lock()
         #: What has come, and when; of the newest messages by topic.
         self._waiting: dict[Hashable, tuple[Callable[[float], object], float]] = {}
         self._mailboxes = [fabric.mailbox(topic, POLLED) for topic in topics] if polled else []
         for topic in () if polled else topics:
             fabric.subscribe_unread(topic, partial(self._put_message, topic.name))
-        fabric.watch_peers(lambda peer, alive: self._put(object(), partial(take_peer, peer, alive)))
+        fabric.watch_peers(lambda peer, alive: self._put("", partial(take_peer, peer, alive)))
 
     @property
     def malformed(self) -> int:
@@ -73,11 +74,11 @@ class Feed:
         return self._fabric.malformed
 
     def read(self, timeout_s: float = 0.0) -> float:
-        """Give all that has come, after a wait of at most `timeout_s` for the first; return the time of now."""
-        with self._arrived:
-            self._arrived.wait_for(lambda: bool(self._waiting), timeout_s)
+        """Give all that has come, after a wait of at most `timeout_s` for a message; return the time of now."""
+        self._arrived.wait(timeout_s)
         with self.lock:
-            with self._arrived:
+            with self._put_lock:
+                self._arrived.clear()
                 waiting, self._waiting = self._waiting, {}
             for use, at_s in waiting.values():
                 use(at_s)
@@ -88,19 +89,21 @@ class Feed:
         return now_s
 
     def _put_message(self, topic: str, unread: Unread) -> None:
-        self._put(topic if self._newest else object(), partial(self._decode, unread))
+        self._put(topic, partial(self._decode, unread))
 
     def _decode(self, unread: Unread, at_s: float) -> None:
         message = unread()
         if message is not None:
             self._take(message, at_s)
 
-    def _put(self, key: Hashable, use: Callable[[float], object]) -> None:
-        now_s = self._clock_s()
-        with self._arrived:
+    def _put(self, topic: str, use: Callable[[float], object]) -> None:
+        key = topic if topic and self._newest else object()
+        with self._put_lock:
+            now_s = self._clock_s()
             self._waiting.pop(key, None)
             self._waiting[key] = use, now_s
-            self._arrived.notify()
+            if topic:
+                self._arrived.set()
             _, oldest_s = next(iter(self._waiting.values()))
         if now_s > oldest_s + UNREAD_S and not self._newest:
             self.read()
