@@ -79,7 +79,7 @@ def view(
             playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
             _serve(build_app(playback, access, playback_actions(playback)), access, listener, pulse)
             return
-        skin = of.find(stop)
+        skin = of.find("viewer", stop)
         require_boards(skin)
         fabric = pulse.fabric = closes.enter_context(closing(of.join(skin, "viewer", pulse)))
         if stop.is_set():
