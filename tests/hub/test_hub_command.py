@@ -147,7 +147,7 @@ def test_a_program_that_invents_names_fills_no_log_and_imitates_no_other() -> No
     assert len(said) == MOST_LINES + 2
     assert said[0] == "palm:client may not put 'a'"
     assert said[-2] == "palm:client: no more names that it invents are told"
-    assert said[-1] == "palm:client may not put 'image': reconstructor may"  # names of the fabric are always told
+    assert said[-1] == "palm:client may not put 'image': reconstructor, run may"  # names of the fabric are always told
     denials.take(denied("canskin/palm/image"))
     assert said[MOST_LINES + 2 :] == said[-1:]
     assert said[-1] == said[-2]
