@@ -186,7 +186,7 @@ def test_where_sums_of_many_nodes_are_missing_all_start_again_at_growing_pauses(
 
 
 def noise(node_id: int) -> tuple[int, Read]:
-    return node_id, Read(NOISE)
+    return node_id, Read(NOISE, 0, 0x08)
 
 
 def test_noise_is_read_after_the_proof_and_every_ten_seconds_one_node_in_a_tick(skin: Skin) -> None:
