@@ -16,7 +16,7 @@ is valid if each of its frames came in the newest cycle of its turn.
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +41,7 @@ from gateway.open_cycles import (
 )
 from gateway.proven_blocks import ProvenBlocks
 from gateway.sync_times import NO_STAMPS, SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
-from shell.compiled import borrowed, njit
+from shell.compiled import borrowed, hold, njit
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: SYNCs without a frame that names an open cycle, after which the next frames of an identifier are doubtful.
@@ -97,9 +97,11 @@ class Gathering(NamedTuple):
         See their classes.
     counts : array of int64, shape (6,)
         By `ACCEPTED` to `FOREIGN`, see `FrameCounts`.
-    late_of_node, missing_of_node, twice_of_node : arrays of int64, shape (nodes,)
-    heard : array of bool, shape (nodes,)
-        Nodes that sent a TPDO.
+    late_of_node, missing_of_node : arrays of int64, shape (nodes,)
+    heard, twice : arrays of bool, shape (nodes,)
+        Nodes that sent a TPDO, and those of which a frame came twice with other sums.
+    expected : array of bool, shape (nodes,)
+        Nodes that a cycle waits for.
     raw : array of int32, shape (m,)
         Raw values of the sums that are held.
     """
@@ -110,8 +112,9 @@ class Gathering(NamedTuple):
     counts: Integers
     late_of_node: Integers
     missing_of_node: Integers
-    twice_of_node: Integers
     heard: Flags
+    twice: Flags
+    expected: Flags
     raw: npt.NDArray[np.int32]
 
 
@@ -121,7 +124,7 @@ ACCEPTED, LATE, DUPLICATE, MALFORMED, MISSING, FOREIGN = range(6)
 
 @njit(cache=True, nogil=True)
 def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: Rows, places: Places, bus: int, stamp_error_ns: int, turns: int, table: FrameTable, state: Gathering
+    rows: Rows, places: Places, bus: int, stamp_error_ns: int, turns: int, held: Any
 ) -> None:
     """Use the frames that arrived on a bus, in bus order.
 
@@ -131,8 +134,10 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         See `gateway.batch.Batch`.
     stamp_error_ns : int
         Bound of the error of the clock of their time stamps, `NO_STAMPS` if they have none.
+    held : shell.compiled.Held
+        `FrameTable` and `Gathering`.
     """
-    (rows, places), table, state = borrowed((rows, places)), borrowed(table), borrowed(state)
+    (rows, places), (table, state) = borrowed((rows, places)), borrowed(held.value)
     for place in range(rows.shape[0]):
         row, frame = rows[place], places[place]
         if frame == NOTHING:
@@ -195,7 +200,7 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
             note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)
         if not keep_frame(slot, bus, row, data, state.cycles):
             kind = DUPLICATE
-            state.twice_of_node[node] += state.cycles.spoilt[slot, row] and not was_spoilt
+            state.twice[node] |= state.cycles.spoilt[slot, row] and not was_spoilt
         elif not answers.doubtful[row]:
             kind = ACCEPTED
     state.counts[kind] += 1
@@ -216,21 +221,48 @@ def count_answers(answers: Answers) -> None:
 
 
 @njit(cache=True, nogil=True)
+def open_cycle(counter: int, turn: int, held: Any) -> None:
+    """Begin the cycle of a SYNC, which waits for the frames of a turn; `held` as for `take_all`."""
+    table, state = borrowed(held.value)
+    count_answers(state.answers)
+    begin_cycle(counter, (state.answers.turn == turn) & state.expected[table.node], table, state.cycles)
+
+
+@njit(cache=True, nogil=True)
+def is_settled(counter: int, held: Any) -> bool:
+    """Tell whether a cycle can be closed: every bus has sent all expected frames, or a frame of the next cycle."""
+    _, state = borrowed(held.value)
+    slot = slot_of(counter)
+    for bus in range(state.cycles.passed.shape[1]):
+        if state.cycles.waiting[slot, bus] and not state.cycles.passed[slot, bus]:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
 def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
     slot: int,
     turn: int,
     turns: int,
     block_of_sum: npt.NDArray[np.intp],
-    bits: int,
-    is_signed: bool,
-    table: FrameTable,
-    state: Gathering,
+    packing: tuple[int, bool, int, int],
+    held: Any,
     proven: Flags,
     valid: Flags,
+    sums: npt.NDArray[np.int32],
 ) -> None:
-    """Keep the sums of a cycle of proven nodes, and clear `valid` for blocks that are not whole."""
-    table, state = borrowed(table), borrowed(state)
+    """Keep the sums of a cycle of proven nodes, clear `valid` for blocks that are not whole, and write all `sums`.
+
+    Parameters
+    ----------
+    packing : tuple
+        Bits, whether signed, offset and scale of `dbc.packing.Packing`.
+    held : shell.compiled.Held
+        As for `take_all`.
+    """
+    (bits, is_signed, offset, scale), (table, state) = packing, borrowed(held.value)
     cycles, age = state.cycles, state.answers.age
+    cycles.counter[slot] = 0
     for row in range(len(table.node)):
         is_proven = proven[block_of_sum[table.gather[row, 0]]]
         age[row] = min(age[row] + 1, _NEVER) if is_proven else _NEVER
@@ -245,6 +277,8 @@ def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
             for place in table.gather[row]:
                 if place >= 0:
                     valid[block_of_sum[place]] = False
+    for place in range(sums.size):
+        sums[place] = (state.raw[place] - offset) * scale if valid[block_of_sum[place]] else 0
 
 
 class Collector:
@@ -257,17 +291,18 @@ class Collector:
 
     Attributes
     ----------
-    late_of_node, missing_of_node, twice_of_node : arrays of int64, shape (nodes,)
-        `counts.late` and `counts.missing` of each node, and frames that came twice with other sums, in the order of
-        the contract.
-    heard : array of bool, shape (nodes,)
-        Nodes that sent a TPDO since the array was last cleared.
+    late_of_node, missing_of_node : arrays of int64, shape (nodes,)
+        `counts.late` and `counts.missing` of each node, in the order of the contract.
+    heard, twice : arrays of bool, shape (nodes,)
+        Nodes that sent a TPDO, and those of which a frame came twice with other sums, since the array was last cleared.
     expected : array of bool, shape (nodes,)
         Nodes that a cycle waits for; frames of other nodes are used when they are in time.
     """
 
     def __init__(self, contract: Contract, early_echoes: Collection[int] = ()) -> None:
         self.expected = np.ones(len(contract.nodes), np.bool_)
+        packing = contract.packing
+        self._packing = packing.bits, packing.is_signed, packing.offset, packing.scale
         self._contract, self._table, self._phi = contract, contract.table, contract.phi
         self._early_echoes = early_echoes
         self._block_of_sum = np.ascontiguousarray(contract.phi.block_of_sum)
@@ -283,8 +318,8 @@ class Collector:
         """Forget all frames."""
         contract, rows = self._contract, len(self._table.bus)
         self._times = SyncTimes(contract, self._early_echoes)
-        self.late_of_node, self.missing_of_node, self.twice_of_node = np.zeros((3, len(contract.nodes)), np.int64)
-        self.heard = np.zeros(len(contract.nodes), np.bool_)
+        self.late_of_node, self.missing_of_node = np.zeros((2, len(contract.nodes)), np.int64)
+        self.heard, self.twice = np.zeros((2, len(contract.nodes)), np.bool_)
         came, silent, doubtful = np.zeros((3, rows), np.int64)
         turn = self._table.turn.astype(np.int64)
         self._state = Gathering(
@@ -294,10 +329,12 @@ class Collector:
             counts=np.zeros(6, np.int64),
             late_of_node=self.late_of_node,
             missing_of_node=self.missing_of_node,
-            twice_of_node=self.twice_of_node,
             heard=self.heard,
+            twice=self.twice,
+            expected=self.expected,
             raw=np.zeros(self._phi.shape[0], np.int32),
         )
+        self._held = hold((self._table, self._state))
 
     @property
     def counts(self) -> FrameCounts:
@@ -322,9 +359,7 @@ class Collector:
         No cycle of the same slot (`slot_of`) may be open.
         """
         self._times.open(counter, due_ns, sent_ns)
-        count_answers(self._state.answers)
-        is_awaited = (self._state.answers.turn == self._contract.turn_of(counter)) & self.expected[self._table.node]
-        begin_cycle(counter, is_awaited, self._table, self._state.cycles)
+        open_cycle(counter, self._contract.turn_of(counter), self._held)
         self._proven.begin(slot_of(counter))
 
     def waiting(self, counter: int) -> Integers:
@@ -334,7 +369,7 @@ class Collector:
 
     def is_settled(self, counter: int) -> bool:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or a frame of the next cycle."""
-        return bool((self._state.cycles.passed[slot_of(counter)] | (self.waiting(counter) == 0)).all())
+        return is_settled(counter, self._held)
 
     def take(self, batch: Batch, stamp_error_ns: int | None) -> None:
         """Use the frames that arrived on a bus, in bus order.
@@ -342,8 +377,7 @@ class Collector:
         `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.
         """
         error_ns = NO_STAMPS if stamp_error_ns is None else stamp_error_ns
-        turns = self._contract.turns
-        take_all(batch.rows, batch.places, batch.bus, error_ns, turns, self._table, self._state)
+        take_all(batch.rows, batch.places, batch.bus, error_ns, self._contract.turns, self._held)
 
     def lost(self, bus: int) -> None:
         """Take note that frames of a bus were lost, a foreign SYNC perhaps."""
@@ -351,8 +385,7 @@ class Collector:
 
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums; cycles are closed in the order of their SYNCs."""
-        slot, packing = slot_of(counter), self._contract.packing
-        self._state.cycles.counter[slot] = 0
+        slot, sums = slot_of(counter), np.empty(self._phi.shape[0], np.int32)
         proven = self._proven.during(slot)
         valid = proven & self._phi.has_sums
         close_cycle(
@@ -360,13 +393,10 @@ class Collector:
             self._contract.turn_of(counter),
             self._contract.turns,
             self._block_of_sum,
-            packing.bits,
-            packing.is_signed,
-            self._table,
-            self._state,
+            self._packing,
+            self._held,
             proven,
             valid,
+            sums,
         )
-        sums = packing.counts(self._state.raw)
-        sums[~self._phi.sums_of_blocks(valid)] = 0
         return Gathered(sums, valid, self._times.close(counter), bool(valid[self._contract.needed].all()))

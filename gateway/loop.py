@@ -10,6 +10,7 @@ import numpy as np
 
 from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement, NodeEmergency
+from dbc.configuration import TICK_S
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import Frames
@@ -37,8 +38,6 @@ SETTLE_S: Final = 0.1
 UNNUMBERED_S: Final = 1.0
 #: SYNC of somebody else is told for this time.
 OTHER_SYNC_S: Final = 10.0
-#: The load of one bus is added up after a measurement, at most this often.
-ACCOUNT_PERIOD_S: Final = 0.05
 
 
 @dataclass
@@ -116,9 +115,8 @@ class GatewayLoop:
         )
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
-        self._look_s = self._account_s = self._time_due_s = now_s
+        self._tick_s = self._look_s = self._time_due_s = now_s
         self._time_period_s = contract.layout.sync.time_s
-        self._accounted = 0
 
     @property
     def in_flight(self) -> int:
@@ -174,13 +172,17 @@ class GatewayLoop:
         bus.load.take(batch.rows)
 
     def tick(self, now_s: float) -> None:
-        """Do all that is due at `now_s`, except SYNC and measurements."""
+        """Do all that is due at `now_s`, except SYNC and measurements: most of it each `TICK_S`."""
         for bus in self._buses.values():
             bus.outgoing.tick(now_s)
+        if now_s < self._tick_s:
+            return
+        self._tick_s = now_s + TICK_S
+        for bus in self._buses.values():
             bus.master.tick(now_s)
             self._trust(bus)
             if bus.master.strangers.tick(now_s):
-                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
+                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words} [other-sync]")
         self.gathering.tick(now_s)
         if self._patience_s is None:
             self._patience_s = now_s + BOOT_PATIENCE_S
@@ -208,6 +210,9 @@ class GatewayLoop:
         sync_ns = round(due_s * 1e9)
         begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns)
         closed = self.gathering.begin(begun)
+        for node in self.gathering.doubled():
+            self.masters[node.bus].nodes[node.node_id].take_twice(now_s)
+            self._trust(self._buses[node.bus])
         sync = sync_frame(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
@@ -219,13 +224,7 @@ class GatewayLoop:
 
     def measurements(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
         """Return the measurements that are due."""
-        made = self.gathering.measurements(now_s, wall_offset_ns)
-        if made and now_s >= self._account_s:
-            # One bus at a time, after a measurement: the loop has time then.
-            self._account_s = now_s + ACCOUNT_PERIOD_S
-            self._accounted += 1
-            self._buses[self._numbers[self._accounted % len(self._numbers)]].load.account()
-        return made
+        return self.gathering.measurements(now_s, wall_offset_ns)
 
     def _send_time(self, now_s: float, wall_offset_ns: int) -> None:
         """Send TIME if it is due. After SYNC: SYNC never waits for it."""
@@ -303,18 +302,19 @@ class GatewayLoop:
             self._complain(line)
         for bus in self._buses.values():
             for node_id, code in bus.master.emergencies:
-                self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
+                self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name} [node-emergency]")
             bus.master.emergencies.clear()
             strangers = bus.master.strangers
             if bus.other_syncs:
                 bus.other_syncs, bus.other_sync_s = 0, now_s
-                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}; {strangers.words}")
+                lost = self.gathering.disturbance
+                self._complain(f"another SYNC producer on {bus.name}: {lost}; {strangers.words} [other-sync]")
                 strangers.find_producers(now_s)
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]
         nodes, wall_s = bus.master.nodes.values(), time.time() - now_s
-        missing, late, twice = zip(*(self.gathering.frames_of(place) for place in bus.places), strict=True)
+        missing, late = zip(*(self.gathering.frames_of(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
             load_ratio=bus.load.take_ratio(now_s),
@@ -323,13 +323,13 @@ class GatewayLoop:
             nmt=bus.master.nmt.tobytes(),
             missing=list(missing),
             late=list(late),
-            twice=list(twice),
             emcy=bus.master.emcy,
             refused=bus.master.refused,
             link=max(state, bus.watch.state).name.lower(),
             trouble=bus.watch.trouble,
             overrun=dropped,
             faults=bus.master.faults,
+            out_s={node.contract.node_id: now_s - node.lost_s for node in nodes if node.lost_s is not None},
             answer_s=[node.answer_s.of(now_s) for node in nodes],
             heartbeat_s=[node.heartbeat_s.of(now_s) for node in nodes],
             emergencies=[

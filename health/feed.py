@@ -105,7 +105,8 @@ class Watched:
     """
 
     def __init__(self, layout: Layout, fabric: Fabric, topics: Iterable[Topic] = TOPICS) -> None:
-        self._state = ViewState(layout, time.time() - time.monotonic(), fabric.service or "command")
+        self._begun_time_s = time.time()
+        self._state = ViewState(layout, self._begun_time_s - time.monotonic(), fabric.service or "command")
         self._feed = Feed(fabric, topics, self._state.take, self._state.take_peer)
 
     def snapshot(self) -> Snapshot:
@@ -114,7 +115,9 @@ class Watched:
             return self._state.snapshot(self._feed.read(), self._feed.malformed)[0]
 
     def look(self) -> Snapshot:
-        """Return the same without the times since when: of a short look they say nothing."""
-        snapshot = self.snapshot()
-        notices = [msgspec.structs.replace(each, since_time_s=None) for each in snapshot.notices]
+        """Return the same with the times since when that are before the look: the others say nothing."""
+        snapshot, notices = self.snapshot(), []
+        for each in snapshot.notices:
+            is_old = each.since_time_s is not None and each.since_time_s < self._begun_time_s
+            notices.append(each if is_old else msgspec.structs.replace(each, since_time_s=None))
         return msgspec.structs.replace(snapshot, notices=notices)

@@ -63,6 +63,8 @@ HELD_S: Final = 0.1
 WAITING: Final = 512
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
 STATUS_FRESH_S: Final = 1.5
+#: Messages that do not fit are told until none has come for this time.
+MISFITS_S: Final = 3.0
 #: Most processes of nodes shown; the one with the oldest message is dropped first.
 PROCESSES: Final = 64
 LATENCY_SPAN_S: Final = 5.0
@@ -154,6 +156,7 @@ class ViewState:
 
     def __init__(self, layout: Layout, epoch_s: float = 0.0, service: str = "viewer") -> None:
         self.ignored = 0
+        self._ignored = 0, -inf
         self._layout, phi = layout, layout.phi()
         self._sending_blocks = int(phi.has_sums.sum())
         self._epoch_s, self._service_name = epoch_s, service
@@ -237,6 +240,8 @@ class ViewState:
         The PSNR of a single snapshot is that of its image, not the mean of the last second, which costs more.
         """
         self._choose(now_s)
+        if (ignored := self.ignored + undecodable) > self._ignored[0]:
+            self._ignored = ignored, now_s
         image, status = self._image.message, self._gateway.message
         truth = None if image is None else self._comparison.truth_of(image)
         if not is_single:
@@ -269,7 +274,7 @@ class ViewState:
             services=self._service_states(now_s),
             other_skins=self._services.other_skins(),
             cut_off=self._is_cut_off(now_s),
-            ignored=self.ignored + undecodable,
+            ignored=ignored if now_s - self._ignored[1] < MISFITS_S else 0,
             notices=[],
         )
         pictures = Pictures(

@@ -22,12 +22,13 @@ from numba import config, types
 from numba.core import caching, cgutils, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
+from numba.experimental import structref
 from numba.extending import intrinsic, is_jitted
 from numba.np.arrayobj import make_array
 
 from shell.watchdog import WATCHDOG
 
-__all__ = ["borrowed", "njit"]
+__all__ = ["Held", "borrowed", "hold", "njit"]
 
 
 @contextmanager
@@ -203,3 +204,24 @@ def njit(signature: Any = None, *, cache: bool = False, **options: Any) -> Calla
         return kernel
 
     return compile_kernel
+
+
+@structref.register
+class HeldType(types.StructRef):
+    """The type of `Held` in kernels; it depends on the type of the value."""
+
+
+class Held(structref.StructRefProxy):
+    """A (named) tuple of arrays and numbers that `hold` has bound, for kernels: its attribute `value`.
+
+    A call of a kernel takes as long as some hundred frames if it has to look at 40 arrays each time.
+    """
+
+
+structref.define_proxy(Held, HeldType, ["value"])  # type: ignore[no-untyped-call]
+
+
+@njit(cache=True)
+def hold(value: Any) -> Held:
+    """Return a (named) tuple as an argument for kernels that is looked at once."""
+    return Held(value)  # type: ignore[no-untyped-call]

@@ -161,7 +161,7 @@ def gateway(messages: Messages, endpoint: str, *, hub: bool = False) -> Fabric:
 
 
 @pytest.mark.heavy
-def test_one_exporter_shows_all_skins_of_a_hub(endpoint: str) -> None:
+def test_one_exporter_shows_all_skins_of_a_hub(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     palm, back = Messages(), Messages(small_layout(16, 16, name="back", bus=buses(4, 4, names=("left", "right"))))
     exporter, registry, stop = Exporter(endpoint, EXPECTED), CollectorRegistry(), threading.Event()
     registry.register(exporter)
@@ -184,6 +184,7 @@ def test_one_exporter_shows_all_skins_of_a_hub(endpoint: str) -> None:
             await_text(port, r'canskin_up{service="gateway",skin="back"} 0.0')
         text = await_text(port, r'canskin_up{service="gateway",skin="palm"} 0.0')
         await_text(port, r'canskin_cause{code="hub-away",level="error",skin="palm",subject="hub"} 1.0')
+        assert "skin 'palm': nothing arrives: hub [hub-away]" in capsys.readouterr().err
         assert 'canskin_cycles_total{skin="palm"} 10.0' in text
         stop.set()
         running.join()
