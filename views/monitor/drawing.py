@@ -86,13 +86,17 @@ def _head(state: Snapshot) -> list[Text]:
         head.append(f"{_GAP}{patch.force_n:.3g} N")
     rates = [_clock(state.time_s)]  # all within 80 columns
     if gateway is not None and not gateway.stale:
-        rates.append(f"SYNC {gateway.sync_rate_hz:.4g} Hz")
-    rates.append(f"{figures.images_hz:.3g} images/s")
+        rates.append(f"SYNC {_rate(gateway.sync_rate_hz)} Hz")
+    rates.append(f"{_rate(figures.images_hz)} images/s")
     if figures.latency_p50_s is not None and figures.latency_p99_s is not None:
         rates.append(f"{1e3 * figures.latency_p50_s:.1f} ms, p99 {1e3 * figures.latency_p99_s:.1f} ms")
     if figures.valid_blocks_low is not None:
         rates.append(f"least {figures.valid_blocks_low}/{figures.blocks} blocks")
     return [head, Text(f" {_GAP.join(rates)}")]
+
+
+def _rate(rate_hz: float) -> str:
+    return f"{rate_hz:.0f}" if rate_hz >= 10 else f"{rate_hz:.1f}"
 
 
 def _keys(shown: str, above: int, below: int) -> Text:
