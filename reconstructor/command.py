@@ -38,7 +38,7 @@ def reconstruct(
     stop, of = StopSignal().install(), of or SkinOptions()
     pulse = Pulse(stop)
     (solver or SolverOptions()).settings()  # its errors before any wait
-    skin = of.find(stop)
+    skin = of.find("reconstructor", stop)
     imager = make_imager(skin, solver, gains)
     warm_up(skin, imager)
     with closing(of.join(skin, "reconstructor", pulse)) as fabric:

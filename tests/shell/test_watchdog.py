@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -102,3 +103,21 @@ def test_each_kernel_that_is_compiled_is_a_sign_of_life(
     assert outer(1) == 4
     assert len(signs) >= 4  # begin and end of each
     assert capsys.readouterr().err == "kernels: compiled for this processor, as on every first start\n"
+
+
+def test_a_process_of_several_services_lives_while_each_of_them_does() -> None:
+    watchdog, signs = Watchdog(), list[str]()
+    watchdog.services = {"gateway", "view"}
+    watchdog._tell = signs.append  # type: ignore[method-assign]
+    watchdog._socket = "somewhere"
+
+    def feed(name: str) -> None:
+        thread = threading.Thread(target=watchdog.feed, name=name)
+        thread.start()
+        thread.join()
+
+    for name in ("gateway", "gateway", "view", "view", "view"):
+        feed(name)
+    assert signs == ["READY=1"]
+    feed("gateway")
+    assert signs == ["READY=1", "WATCHDOG=1"]
