@@ -214,8 +214,8 @@ class NodeTrouble(msgspec.Struct, frozen=True):
     word: str
 
 
-class BusView(BusState, frozen=True, kw_only=True):
-    """One bus: the gateway's counters, and conclusions from them.
+class BusView(BusState, frozen=True, kw_only=True, eq=False):
+    """One bus: the gateway's counters, and conclusions from them; made once for each message of the gateway.
 
     Attributes
     ----------

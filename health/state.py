@@ -35,6 +35,7 @@ from health.notices import display_name, notices
 from health.patches import Patches
 from health.services import Services
 from health.snapshot import (
+    BusView,
     ContactsState,
     Figures,
     GatewayState,
@@ -171,6 +172,7 @@ class ViewState:
             Label: self._label,
             GatewayStatus: self._gateway,
         }
+        self._buses: list[BusView] = []
         self._mark: Mark | None = None
         self._nodes: dict[str, Latest[NodesStatus]] = {}
         #: When the newest message came.
@@ -201,6 +203,7 @@ class ViewState:
                 self._mark = message
             case GatewayStatus():
                 self._troubles.take(message, now_s)
+                self._buses = bus_views(message, self._troubles.of(self._epoch_s))
             case NodesStatus():
                 self._nodes.pop(message.process, None)
                 self._nodes[message.process] = process = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
@@ -265,7 +268,7 @@ class ViewState:
             gateway=self._gateway.shown(
                 GatewayState,
                 now_s,
-                buses=bus_views(status, self._troubles.of(self._epoch_s)) if status else [],
+                buses=self._buses,
                 zero=calibration.zero_words if calibration else "",
                 late=late,
                 late_since_time_s=late_since_time_s,
@@ -352,10 +355,11 @@ class ViewState:
 
     def _figures(self, now_s: float, image_db: float | None, sensor_db: float | None) -> Figures:
         latency_s, low, image = self._latency_s.values(now_s), self._valid.values(now_s), self._image.message
+        usual_s, most_s = np.percentile(latency_s, (50, 99)).tolist() if latency_s else (None, None)
         return Figures(
             images_hz=self._rate.per_s(now_s),
-            latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
-            latency_p99_s=float(np.percentile(latency_s, 99)) if latency_s else None,
+            latency_p50_s=usual_s,
+            latency_p99_s=most_s,
             psnr_image_db=image_db,
             psnr_sensor_db=sensor_db,
             sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self._layout.taxels.adc_bits),

@@ -115,7 +115,7 @@ class Exporter(Collector):
         if now_s < self._again_s.get(peer.skin, now_s) or (known is None and len(self._skins) >= SKINS_MAX):
             return
         try:
-            layout = hub_layout(self._endpoint, peer.skin, stop)
+            layout = hub_layout(self._endpoint, peer.skin, stop, service=SERVICE)
             observe = self._latencies.labels(peer.skin).observe
             figures = SkinFigures(layout, self._expected, observe, time.time() - time.monotonic())
             skin = _Skin(layout, figures, self._endpoint, stop)

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import zip_longest
 from textwrap import wrap
 from typing import Final
@@ -67,7 +68,7 @@ def body(state: Snapshot, shown: str, width: int) -> list[Line]:
     if is_all or is_wrong or shown == "n":
         lines += _troubled(state)
     if is_all or shown == "n":
-        lines += _nodes(state, width)
+        lines += _nodes(tuple(state.gateway.buses if state.gateway else ()), width)
     return lines or [("nothing is wrong", "green")]
 
 
@@ -166,10 +167,11 @@ def _troubled(state: Snapshot) -> list[Line]:
     return _table(["not whole", "", "state", "answers", "heartbeats", "missing", "cause", "since", "why"], rows)
 
 
-def _nodes(state: Snapshot, width: int) -> list[Line]:
+@lru_cache(maxsize=1)
+def _nodes(buses: tuple[BusView, ...], width: int) -> list[Line]:
     """Return the nodes that are whole, as many in a line as have room."""
     rows = []
-    for bus in state.gateway.buses if state.gateway else ():
+    for bus in buses:
         troubled = {each.node for each in bus.nodes_why}
         for place, node in enumerate(bus.nodes):
             if node not in troubled:

@@ -22,6 +22,7 @@ from shell.service import listen
 from skin.layout import layout_text
 from tests.health.helpers import Messages
 from tests.layouts import buses, small_layout
+from tests.messages import service_status
 from views.metrics import server
 from views.metrics.command import EXPECTED
 from views.metrics.exporter import Exporter
@@ -29,17 +30,8 @@ from views.metrics.server import serving
 from views.metrics.skin_figures import CAUSES_MAX, SkinFigures
 
 
-def status(
-    processor_s: float, service: str = "reconstructor", instance: str = "reconstructor", overruns: int = 0
-) -> ServiceStatus:
-    return ServiceStatus(
-        time_ns=0,
-        service=service,
-        instance=instance,
-        memory_bytes=1 << 20,
-        processor_s=processor_s,
-        missed=3,
-    )
+def status(processor_s: float, service: str = "reconstructor", instance: str = "reconstructor") -> ServiceStatus:
+    return service_status(0, service, instance, processor_s=processor_s, missed=3)
 
 
 def values(figures: SkinFigures, name: str, now_s: float = 0.0) -> dict[tuple[str, ...], float]:
