@@ -115,7 +115,8 @@ class BusServer:
         self._now_ns = 0
         self._buffer = bytearray(MAX_PACKET + 1)
         dry = SimulatedBus(settings.bitrate)
-        dry.submit([dry.attach(name) for name in ("one", "other")][0], frames(1))
+        sender, _ = dry.attach("sender"), dry.attach("receiver")
+        dry.submit(sender, frames(1))
         dry.run_until()  # compiled before the first client comes
         folder = folder or runtime_folder()
         check_channels(ARBITRATED, channels)
