@@ -41,8 +41,8 @@ def load(
         A recording (.mcap), or a log of candump (-l), ASC, BLF, MF4 or any other format that python-can reads; default:
         measure the live buses.
     of
-        Which skin. Without an option the layout is that of the recording (.mcap), else the default skin; ``--connect``
-        asks a hub.
+        Which skin. Without an option the layout is that of the recording (.mcap); live that of a hub of this machine;
+        else the default one.
     can
         Live: the CAN interfaces. In a log: the channel of each bus. Default: the names of the buses, else all
         channels in their order.

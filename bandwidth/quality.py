@@ -20,6 +20,7 @@ from nodes.simulated import REST_S, Nodes
 from nodes.steps.simulated import sync_frames, touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.walsh import WalshReconstructor
+from shell.compiled import hold
 from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
 from skin.layout import Layout, changed, validated
 from skin.measured_sums import decode_measurement
@@ -199,7 +200,8 @@ def heard(layout: Layout, sent: Frames, seconds: float) -> Frames:
 def _steps(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
     """Yield what a receiver knows of the sums of stepped boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
-    sums, slots, proven = new_sums(contract), slots_of(contract), np.ones(layout.blocks, np.bool_)
+    sums = new_sums(contract)
+    receiver = hold((np.ones(layout.blocks, np.bool_), slots_of(contract), contract.parts, sums))
     step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(seconds * step_rate_hz(layout)), []
     for bus in range(len(layout.bus)):
         frames = heard(layout, touched_frames(contract, bus, source, seconds), seconds)
@@ -209,7 +211,7 @@ def _steps(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Mome
     for step in range(steps):
         for bus, (frames, parts) in enumerate(buses):
             batch = batch_of(frames[slice(*parts[step])], bus, contract.parts)
-            take_all(batch, proven, slots, contract.parts, sums)
+            take_all(batch, receiver)
         true_n = source.frame(step).force_n.ravel()
         sensor_n = to_counts(sense(true_n, rng, NOISE_N, taxels.force_max_n), taxels) * taxels.newton_per_count
         known = np.concatenate([part[:held] for part, held in zip(sums.known, contract.parts.form[:, 0], strict=True)])

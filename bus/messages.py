@@ -1,12 +1,14 @@
 """Conversion between python-can's messages and FRAME records."""
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import can
 import numpy as np
 
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
+
+if TYPE_CHECKING:
+    import can
 
 _FLAG_OF: Final = (
     ("is_extended_id", EXTENDED),
@@ -18,8 +20,10 @@ _FLAG_OF: Final = (
 )
 
 
-def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
+def to_message(record: np.void, channel: str, offset_ns: int) -> "can.Message":
     """Convert a record to a message; the time stamp is in seconds since the epoch."""
+    import can  # no verb waits for python-can that has no need of it
+
     flags, length = int(record["flags"]), int(record["length"])
     message = can.Message(
         timestamp=(int(record["time_ns"]) + offset_ns) * 1e-9,
@@ -34,17 +38,17 @@ def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
     return message
 
 
-def to_frame(message: can.Message, time_ns: int) -> Frames:
+def to_frame(message: "can.Message", time_ns: int) -> Frames:
     """Convert a message to one record, with a time in place of its own."""
     return _records([message], [time_ns])
 
 
-def to_logged_frames(messages: Sequence[can.Message]) -> Frames:
+def to_logged_frames(messages: "Sequence[can.Message]") -> Frames:
     """Convert the messages of a log to records, with the time stamps of the log."""
     return _records(messages, [round(message.timestamp * 1e9) for message in messages])
 
 
-def _records(messages: Sequence[can.Message], times_ns: list[int]) -> Frames:
+def _records(messages: "Sequence[can.Message]", times_ns: list[int]) -> Frames:
     many = frames(len(messages))
     many["time_ns"] = times_ns
     many["can_id"] = [message.arbitration_id for message in messages]
@@ -55,6 +59,6 @@ def _records(messages: Sequence[can.Message], times_ns: list[int]) -> Frames:
     return many
 
 
-def flags_of(message: can.Message) -> int:
+def flags_of(message: "can.Message") -> int:
     """Return the flags of the record of a message."""
     return sum(flag for name, flag in _FLAG_OF if getattr(message, name))

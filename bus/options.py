@@ -167,6 +167,8 @@ def _own_rates(channel: str, bitrate: int, data_bitrate: int | None) -> tuple[in
 
 def _typed(given: list[str]) -> dict[str, str | float | bool]:
     """Return options with their values; raise InputError for what is not NAME=VALUE."""
+    if not given:
+        return {}
     from can.util import cast_from_string
 
     for each in given:

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_opening
 
 from calibration.windows import Bools, Floats, rms
 from reconstructor.kernels.blocks import places_of_sums, taxels_in_block_order
@@ -40,8 +39,6 @@ STEEPEST: Final = 4.0
 DEVIATION_OF_MEDIAN: Final = 1.4826
 #: Cost of a newton of a board's shift in units of λ: more than that of a touched patch, less than that of its taxels.
 SHIFT_COST: Final = 2.0
-#: What is seen has at least this shape: the field of noise has single taxels.
-_SQUARE: Final = np.ones((2, 2), np.bool_)
 #: A board is spread over the skin if each of its taxels has on average `SPREAD_EDGES` edges to taxels of other boards.
 SPREAD_EDGES: Final = 3.0
 
@@ -106,7 +103,9 @@ class FieldFinder:
         The 2-core (Seidman 1983) is what is left when taxels with fewer than two neighbours go, again and again.
         """
         if self._surface.is_grid:
-            return np.asarray(binary_opening(taxels.reshape(self._surface.shape), _SQUARE).ravel(), np.bool_)
+            field = taxels.reshape(self._surface.shape)
+            squares = np.pad(field[:-1, :-1] & field[:-1, 1:] & field[1:, :-1] & field[1:, 1:], 1)
+            return (squares[1:, 1:] | squares[1:, :-1] | squares[:-1, 1:] | squares[:-1, :-1]).ravel()
         edges, left = self._surface.edges, taxels
         while True:
             kept = np.bincount(edges[left[edges].all(axis=1)].ravel(), minlength=left.size) >= 2

@@ -1,5 +1,7 @@
 """``skin doctor``: what is wrong with a skin, worst first, and what mends it."""
 
+import re
+import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -8,7 +10,6 @@ from statistics import fmean
 from typing import Final, Literal
 
 import msgspec
-from can import VALID_INTERFACES
 
 from bandwidth.plan import bus_time, cycle_hz, random_bus_time
 from bandwidth.traffic import traffic
@@ -17,7 +18,7 @@ from bus.link import ARBITRATED, SOCKETCAN, Link
 from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import BusError, DeniedError, InputError
 from canskin.fabric import Fabric
-from canskin.keys import environment_keys
+from canskin.keys import accepts, environment_keys
 from canskin.messages import GATEWAY, GatewayStatus
 from canskin.peers import Peer
 from canskin.session import checked, peers_at
@@ -29,7 +30,7 @@ from health.feed import Watched
 from health.host_time import measure, settings
 from health.snapshot import Notice, Snapshot
 from shell.skin_options import SkinOptions, hub_layout, knows_layout
-from shell.terminal import Json, print_json
+from shell.terminal import Json, arguments, print_json
 from skin.layout import Bus, Layout, load_layout
 
 #: Time in which the hub is heard: services that send nothing are then known.
@@ -38,6 +39,8 @@ LISTEN_S: Final = 2.0
 PATIENCE_S: Final = 1.0
 #: Part of a bus beyond its plan that SDO transfers may take.
 SDO_RATIO: Final = 0.02
+#: What to do with a hub that hangs.
+_HANGS: Final = "end the process that listens there, by kill -9 if it hangs, and start it again"
 #: Settings of the host that are told before anything is late.
 _ADVISED: Final = ("scheduling", "clock source", "timer", "wall clock")
 
@@ -84,6 +87,7 @@ def doctor(
     if seconds is not None:
         raise InputError("--seconds is for 'skin doctor time'")
     name, found = examine(of, can or BusOptions())
+    found = [msgspec.structs.replace(each, mend=_typed(each.mend, of, can)) for each in found]
     is_wrong = any(each.level != INFO for each in found)
     if json:
         print_json({"skin": name, "is_well": not is_wrong, "findings": found})
@@ -104,6 +108,8 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
     SkinError
         If the options cannot be used, or name no single skin.
     """
+    from can import VALID_INTERFACES
+
     if can.interface not in VALID_INTERFACES:
         known = ", ".join(sorted(VALID_INTERFACES))
         raise InputError(f"expected --interface with one of {known}, got {can.interface!r}")
@@ -118,8 +124,8 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
                 fabric = Fabric(skin.name, "", of.endpoint, patience_s=PATIENCE_S)
                 look = Watched(skin, stack.enter_context(closing(fabric)))
                 fabric.subscribe(GATEWAY, told.append)
-            if not has_gateway:
-                found += _look_at_buses(contract, can, names)
+            if not has_gateway:  # a gateway does not start without its buses: they come first
+                found = _look_at_buses(contract, of, can, names) + found
             else:
                 if can.interface == SOCKETCAN and can.channel:
                     found += [each for pair in zip(names, skin.bus, strict=True) for each in _differences(*pair)]
@@ -134,7 +140,7 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
 
 def _find(of: SkinOptions) -> tuple[Layout | None, bool, list[Notice]]:
     """Return the layout, whether a gateway of the skin is there, and why hub or gateway cannot be asked."""
-    checked(of.endpoint, environment_keys())  # a wrong endpoint is no fault of the skin
+    endpoint, _ = checked(of.endpoint, environment_keys())  # a wrong endpoint is no fault of the skin
     given = None if of.layout is None else of.find(needs_hub=False)
     wanted = of.skin if given is None else given.name
 
@@ -144,7 +150,10 @@ def _find(of: SkinOptions) -> tuple[Layout | None, bool, list[Notice]]:
     try:
         peers = peers_at(of.endpoint, PATIENCE_S, lambda peers: any(map(tells, peers)), "--connect")
     except BusError as error:
-        return given or load_layout(None), False, [Cause.HUB_AWAY.notice(str(error), "hub")]
+        if accepts(endpoint):  # whoever hangs there may have the buses, too
+            return None, True, [Cause.HUB_AWAY.notice(str(error), "hub", mend=_HANGS)]
+        mend = "" if given else f"{Cause.HUB_AWAY.mend}; give --layout if the skin is not the default one"
+        return given or load_layout(None), False, [Cause.HUB_AWAY.notice(str(error), "hub", mend=mend)]
     skins = {peer.skin for peer in peers if tells(peer)}
     if given is not None or not (skins or of.skin):
         return given or load_layout(None), bool(skins), []
@@ -156,15 +165,35 @@ def _find(of: SkinOptions) -> tuple[Layout | None, bool, list[Notice]]:
         return None, True, [Cause.GATEWAY_SILENT.notice(str(error), "gateway")]
 
 
+def _typed(mend: str, of: SkinOptions, can: BusOptions | None) -> str:
+    """Return what to do with the options of this command in the commands that need them, too."""
+    asking, at_buses = arguments(of), arguments(can) if can else []
+    beside, alone = [*asking, *at_buses], [*arguments(SkinOptions(of.layout)), *at_buses]
+    given = {
+        "reconstruct": asking,
+        "tare": asking,
+        "calibration show": asking,
+        "scan": beside,
+        "load": beside,
+        "node check": alone,
+        "commission": alone,
+        "gateway": alone,
+    }
+    verb = rf"'skin ({'|'.join(given)})([^']*)'"
+    return re.sub(verb, lambda found: f"'{shlex.join(['skin', *found[1].split(), *given[found[1]]])}{found[2]}'", mend)
+
+
 def _graver(notice: Notice) -> Notice:
     """Return a notice as an error that is none while a skin starts."""
     is_absent = notice.code == Cause.GATEWAY_ABSENT.code
     return msgspec.structs.replace(notice, level=ERROR) if is_absent else notice
 
 
-def _look_at_buses(contract: Contract, can: BusOptions, names: list[str]) -> list[Notice]:
+def _look_at_buses(contract: Contract, of: SkinOptions, can: BusOptions, names: list[str]) -> list[Notice]:
     """Look at interfaces and boards, without a gateway."""
     found: list[Notice] = []
+    virtual = f"'skin bus{f' --layout {of.layout}' if of.layout else ''}'" if can.interface == ARBITRATED else ""
+    absent: dict[str, BusError] = {}
     opened: dict[int, Link] = {}
     with closing_links(opened) as links:
         for number, (channel, line) in enumerate(zip(names, contract.layout.bus, strict=True)):
@@ -175,15 +204,26 @@ def _look_at_buses(contract: Contract, can: BusOptions, names: list[str]) -> lis
             try:
                 opened.update(open_links(contract.layout, can, [number], name="doctor", wait_s=0.0))
             except InterfaceError as error:
-                found.append(Cause.INTERFACE_DIFFERS.notice(f"{line.name}: {error}", line.name))
+                mend = virtual and f"stop that bus, then {virtual}"
+                found.append(Cause.INTERFACE_DIFFERS.notice(f"{line.name}: {error}", line.name, mend=mend))
             except BusError as error:
-                mend = f"'skin bus {channel}'" if can.interface == ARBITRATED else ""
-                found.append(Cause.INTERFACE_LOST.notice(f"{line.name}: {error}", line.name, mend=mend))
+                absent[line.name] = error
+        found += _absent(absent, virtual)
         now_s = time.monotonic()
         looks = {number: BusLook(contract, number, link, now_s) for number, link in links.items()}
         while not all(each.done for each in looks.values()):
             take_turn(links, looks)
     return found + [notice for each in looks.values() for notice in each.notices()]
+
+
+def _absent(errors: dict[str, BusError], virtual: str) -> Iterator[Notice]:
+    """Name the buses that could not be opened; all virtual ones together, which one command starts."""
+    if virtual and errors:
+        named, more = ", ".join(errors), f"; and {len(errors) - 1} more" * (len(errors) > 1)
+        mend = f"{virtual}, or give the interface of real buses: -i socketcan -c can0"
+        yield Cause.INTERFACE_LOST.notice(f"{named}: {next(iter(errors.values()))}{more}", named, mend=mend)
+    elif errors:
+        yield from (Cause.INTERFACE_LOST.notice(f"{name}: {error}", name) for name, error in errors.items())
 
 
 def _differences(channel: str, line: Bus) -> list[Notice]:

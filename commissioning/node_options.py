@@ -30,9 +30,9 @@ class NodeOptions:
     bus
         Name of its bus in the layout. Default: the only one.
     layout
-        TOML of the skin; without it and `connect` the default skin.
+        TOML of the skin; default: the layout that a hub tells, else the default skin.
     connect
-        Endpoint of the hub that tells the layout.
+        Endpoint of the hub; default: that of this machine.
     """
 
     node: int | None = None

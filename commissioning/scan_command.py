@@ -2,7 +2,6 @@
 
 import dataclasses
 import time
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -14,14 +13,15 @@ from commissioning.scan import Scan
 from commissioning.talk import take_turn
 from dbc.canopen import identifier_text
 from shell.service import StopSignal, say
+from shell.skin_options import SkinOptions, is_told
 from shell.terminal import Json, print_json, print_table
-from skin.layout import BITRATE_MAX, load_layout
+from skin.layout import BITRATE_MAX
 from skin.ranges import require_above_zero
 
 
 def scan(
     *,
-    layout: Path | None = None,
+    of: SkinOptions | None = None,
     can: BusOptions | None = None,
     bitrate: int | None = None,
     data_bitrate: int | None = None,
@@ -37,8 +37,9 @@ def scan(
 
     Parameters
     ----------
-    layout
-        TOML of the skin whose buses are scanned, with their bit rates. Without it, the channels of ``-c``.
+    of
+        The skin whose buses are scanned, with their bit rates. Without an option, the channels of ``-c``; without those
+        the buses of the skin on the hub of this machine.
     can
         CAN interface and channels.
     bitrate
@@ -60,19 +61,20 @@ def scan(
     """
     require_above_zero("--seconds", seconds)
     options, stop = can or BusOptions(), StopSignal().install()
-    if layout is not None:
+    if of is not None or not options.channel:
         if (bitrate or data_bitrate) is not None:
-            raise InputError("expected --layout or --bitrate and --data-bitrate, got both: a layout has the rates")
-        skin = load_layout(layout)
+            raise InputError("expected a skin or --bitrate and --data-bitrate, got both: a layout has the rates")
+        of = of or SkinOptions()
+        if of == SkinOptions() and not is_told(of.endpoint):
+            raise InputError("expected -c with the channels of the buses, or --layout: no gateway is there")
+        skin = of.find(needs_hub=False)
         lines = skin.bus
         links = {lines[number].name: link for number, link in open_links(skin, options, sends=not listen).items()}
         rates = {line.name: line.bitrate for line in lines}
-    elif options.channel:
+    else:
         bitrate = bitrate or BITRATE_MAX
         links = open_channels(options, bitrate, data_bitrate, name="scan", sends=not listen)
         rates = dict.fromkeys(links, bitrate)
-    else:
-        raise InputError("expected -c with the channels of the buses, or --layout")
     with closing_links(links):
         say("scan", f"listening for {seconds:g} s")
         for link in links.values():

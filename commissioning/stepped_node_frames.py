@@ -19,6 +19,7 @@ from dbc.contract import Contract, NodeContract, Tpdo
 from dbc.frame import ECHO, Frames
 from gateway.batch import batch_of
 from gateway.stepped_state import AFTER_GAP, DUPLICATE, LATE, MALFORMED, forget, new_sums, slots_of, take_all
+from shell.compiled import hold
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import walsh_matrix
 
@@ -51,10 +52,10 @@ class SteppedFrames(ExpectedFrames):
         self._top_n = taxels.count_max * taxels.newton_per_count
         self._tpdos = {tpdo.cob_id: tpdo for tpdo in node.tpdos}
         self._parts = np.flatnonzero(contract.parts.block == node.block)
-        self._is_mine = np.arange(contract.phi.blocks) == node.block
         #: Sums of a picture in units, from those of the taxels in newtons.
         self._walsh = walsh_matrix(size) / contract.unit_n
         self._slots, self._state = slots_of(contract), new_sums(contract)
+        self._known = hold((np.arange(contract.phi.blocks) == node.block, self._slots, contract.parts, self._state))
         #: What was wrong since the newest picture, by TPDO and kind; kind of the newest word of each TPDO.
         self._found: dict[tuple[int, int], str] = {}
         self._newest = dict.fromkeys(self._tpdos, steps.BAD)
@@ -111,8 +112,7 @@ class SteppedFrames(ExpectedFrames):
     def _take(self, one: Frames) -> int:
         """Let the receiver take a frame; return how it counts the frame."""
         before = self._state.counts.copy()
-        parts = self._contract.parts
-        take_all(batch_of(one, self._node.bus, parts), self._is_mine, self._slots, parts, self._state)
+        take_all(batch_of(one, self._node.bus, self._contract.parts), self._known)
         return int((self._state.counts - before).argmax())
 
     def _compare(self, one: Frames, tpdo: Tpdo) -> None:

@@ -29,7 +29,6 @@ from dbc.frame import (
     EXTENDED_BITS,
     FD,
     FD_LENGTHS,
-    FRAME,
     REMOTE,
     Frames,
     frame_bytes,
@@ -41,16 +40,15 @@ Bits = npt.NDArray[np.int32]
 #: Intermission, counted into every frame.
 INTERMISSION_BITS: Final = 3
 
-#: The compiled kernels read can_id, length, flags, port and data in their order in FRAME.
-_FIRST_BYTE: Final = FRAME.itemsize - 72
-_DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np.int32)
-_PADDED: Final = np.array(FD_LENGTHS, np.int32)[_DLC]
+#: DLC of a frame by its number of bytes, and the number of bytes that this DLC stands for.
+DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np.int32)
+PADDED: Final = np.array(FD_LENGTHS, np.int32)[DLC]
 _FD_NOMINAL_TAIL: Final = 12
 
 
 def padded_length(lengths: npt.NDArray[np.integer]) -> Bits:
     """Return the payload bytes of CAN FD frames with padding: the next length that has a DLC."""
-    padded: Bits = _PADDED[lengths]
+    padded: Bits = PADDED[lengths]
     return padded
 
 
@@ -75,10 +73,16 @@ def wire_bits(frames: Frames, stuffing: Stuffing = "exact") -> tuple[Bits, Bits]
     bit string SOF to CRC. CAN FD: ISO 11898-1:2015 with stuff bit count and fixed stuff bits.
     """
     flags = frames["flags"]
+    if stuffing == "exact":
+        from dbc.stuff_bits import count_all
+
+        nominal, data = np.empty((2, len(frames)), np.int32)
+        count_all(frame_bytes(frames), nominal, data)
+        return nominal, data
     is_fd = flags & FD != 0
-    nominal, data = _fixed_bits(frames, is_fd)
-    if stuffing != "none":
-        stuff = _exact_stuff(frames) if stuffing == "exact" else _worst_stuff(frames, is_fd)
+    nominal, data = fixed_bits(flags, frames["length"])
+    if stuffing == "worst":
+        stuff = _worst_stuff(frames, is_fd)
         nominal += stuff[0]
         data += stuff[1]
     slow = is_fd & (flags & BRS == 0)
@@ -109,11 +113,11 @@ def frame_time_ns(
         Nanoseconds, rounded to the nearest.
     """
     if stuffing == "exact":
-        from dbc.stuff_bits import classic_times
+        from dbc.stuff_bits import add_times
 
         times_ns = np.empty(len(frames), np.int64)
-        if classic_times(frame_bytes(frames)[:, _FIRST_BYTE:], bitrate, times_ns):
-            return times_ns
+        add_times(frame_bytes(frames), bitrate, data_bitrate or bitrate, times_ns)
+        return times_ns
     nominal, data = wire_bits(frames, stuffing)
     seconds = nominal / bitrate + data / (data_bitrate or bitrate)
     return np.rint(seconds * 1e9).astype(np.int64)
@@ -136,32 +140,22 @@ def stuffed_bits(length: int, flags: int, can_id: int | None = None) -> tuple[st
     head = "0" + base + ("11" + extension + "0" if flags & EXTENDED else "00")
     head += "10" if fd else "00" if flags & EXTENDED else "0"
     switches = f"{int(bool(flags & BRS))}{int(bool(flags & ESI))}" if fd else ""
-    return head, switches + f"{_DLC[length]:04b}" + "?" * (8 * int(_PADDED[length]) + (0 if fd else 15))
+    return head, switches + f"{DLC[length]:04b}" + "?" * (8 * int(PADDED[length]) + (0 if fd else 15))
 
 
-def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
-    """Count all bits except dynamic stuff bits."""
-    flags, length = frames["flags"], frames["length"]
-    extended = flags & EXTENDED != 0
+def fixed_bits(flags: npt.NDArray[np.integer], length: npt.NDArray[np.integer]) -> tuple[Bits, Bits]:
+    """Count all bits of frames except dynamic stuff bits, as `wire_bits` of frames with BRS."""
+    is_fd, extended = flags & FD != 0, flags & EXTENDED != 0
     payload = np.where(flags & REMOTE, 0, np.minimum(length, CLASSIC_BYTES)).astype(np.int32)
     nominal = np.where(extended, EXTENDED_BITS, BASE_BITS).astype(np.int32) + 8 * payload + CLASSIC_TAIL
     data = np.zeros_like(nominal)
     if is_fd.any():
-        padded = _PADDED[length]
+        padded = PADDED[length]
         head = np.where(extended, 36, 17)
         # ESI, DLC, payload, stuff count, CRC 17 or 21 with its fixed stuff bits, CRC delimiter
         body = 5 + 8 * padded + np.where(padded <= 16, 4 + 17 + 6, 4 + 21 + 7) + 1
         nominal[is_fd] = (head + _FD_NOMINAL_TAIL)[is_fd]
         data[is_fd] = body[is_fd]
-    return nominal, data
-
-
-def _exact_stuff(frames: Frames) -> tuple[Bits, Bits]:
-    from dbc.stuff_bits import count_stuff
-
-    rows = frame_bytes(frames)[:, _FIRST_BYTE:]
-    nominal, data = np.empty(len(rows), np.int32), np.empty(len(rows), np.int32)
-    count_stuff(rows, _DLC[frames["length"]], _PADDED[frames["length"]], nominal, data)
     return nominal, data
 
 
@@ -172,7 +166,7 @@ def _worst_stuff(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bi
     data = np.zeros_like(nominal)
     for index in np.flatnonzero(is_fd):
         shape = int(flags[index]) & (EXTENDED | BRS | ESI)
-        nominal[index], data[index] = _worst_fd(shape, int(_DLC[frames["length"][index]]))
+        nominal[index], data[index] = _worst_fd(shape, int(DLC[frames["length"][index]]))
     return nominal, data
 
 

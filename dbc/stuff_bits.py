@@ -4,15 +4,19 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import boolean, int32, int64, void
+from numba import int32, int64, void
 
-from dbc.frame import BASE_BITS, BRS, CLASSIC_BYTES, CLASSIC_TAIL, ERROR, ESI, EXTENDED, EXTENDED_BITS, FD, REMOTE
+from dbc.frame import BRS, CAN_ID_AT, ERROR, ESI, EXTENDED, FD, FD_BYTES, REMOTE
+from dbc.frame_bits import DLC, PADDED, fixed_bits
 from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
 
 #: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1 (ISO 11898-1, CRC of classical frames).
 CRC_15: Final = 0x4599
 _INTS: Final = int32[::1]
+#: Flags that decide how many bits a frame has: the first index of `_FIXED_BITS`, the second is its length in bytes.
+_KINDS: Final = EXTENDED | REMOTE | FD
+_FIXED_BITS: Final = np.stack(fixed_bits(*np.indices((_KINDS + 1, FD_BYTES + 1))), -1)
 #: Rows begin with the identifier; the following positions count from there.
 _CAN_ID, _LENGTH, _FLAGS, _DATA = 0, 4, 5, 8
 
@@ -78,14 +82,20 @@ def count_classic(row: Any) -> int:
     word, width = feed_identifier(row, remote)
     reserved = 2 if row[_FLAGS] & EXTENDED else 1
     word, width = (word << (reserved + 4)) | length, width + reserved + 4
-    crc = feed_crc(word, width, 0)
-    last, run, stuffed = feed(word, width, 2, 0, 0)
+    whole = width - width % 8
+    last, run, stuffed = feed(word >> whole, width % 8, 2, 0, 0)
+    crc = feed_crc(word >> whole, width % 8, 0)
+    for shift in range(whole - 8, -1, -8):
+        octet = word >> shift & 0xFF
+        crc = ((crc << 8) & 0x7FFF) ^ _CRCS[(crc >> 7) ^ octet]
+        last, run, stuffed = feed_octet(octet, last, run, stuffed)
     if not remote:
         for index in range(length):
             octet = int(row[_DATA + index])
             crc = ((crc << 8) & 0x7FFF) ^ _CRCS[(crc >> 7) ^ octet]
             last, run, stuffed = feed_octet(octet, last, run, stuffed)
-    return feed(crc, 15, last, run, stuffed)[2]
+    last, run, stuffed = feed(crc >> 8, 7, last, run, stuffed)
+    return feed_octet(crc & 0xFF, last, run, stuffed)[2]
 
 
 @njit(cache=True, nogil=True)
@@ -110,46 +120,41 @@ def last_bit(row: Any, dlc: int, wire_length: int) -> int:
     return (int(row[_DATA + wire_length - 1]) if wire_length else dlc) & 1
 
 
-@njit(void(ROWS, _INTS, _INTS, _INTS, _INTS), cache=True, nogil=True)
-def count_stuff(rows: Any, dlcs: Any, lengths: Any, nominal: Any, data: Any) -> None:
-    """Write every frame's stuff bits into `nominal` and `data`.
+@njit(cache=True, nogil=True)
+def count_bits(row: Any) -> tuple[int, int]:
+    """Count the bits of a frame at the nominal and at the data bit rate, as `dbc.frame_bits.wire_bits`."""
+    flags, length = int(row[_FLAGS]), int(row[_LENGTH])
+    if flags & ERROR:
+        return 0, 0
+    nominal, data = _FIXED_BITS[flags & _KINDS, min(length, FD_BYTES)]
+    if not flags & FD:
+        return nominal + count_classic(row), 0
+    of_head, of_data = count_fd(row, DLC[length], PADDED[length])
+    return (nominal + of_head, data + of_data) if flags & BRS else (nominal + of_head + data + of_data, 0)
+
+
+@njit(void(ROWS, _INTS, _INTS), cache=True, nogil=True)
+def count_all(rows: Any, nominal: Any, data: Any) -> None:
+    """Write every frame's bits into `nominal` and `data`.
 
     Parameters
     ----------
-    rows : array of uint8, shape (n, 72)
-        FRAME records as bytes, from `can_id` to the end.
-    dlcs, lengths : arrays of int32, shape (n,)
-        DLC and padded payload bytes, used for CAN FD frames.
+    rows : array of uint8, shape (n, bytes of a FRAME)
     nominal, data : arrays of int32, shape (n,)
         Written.
     """
     for index in range(rows.shape[0]):
-        flags = rows[index, _FLAGS]
-        if flags & ERROR:
-            nominal[index] = data[index] = 0
-        elif flags & FD:
-            nominal[index], data[index] = count_fd(rows[index], dlcs[index], lengths[index])
-        else:
-            nominal[index], data[index] = count_classic(rows[index]), 0
+        nominal[index], data[index] = count_bits(rows[index, CAN_ID_AT:])
 
 
-@njit(boolean(ROWS, int64, int64[::1]), cache=True, nogil=True)
-def classic_times(rows: Any, bitrate: int, times_ns: Any) -> bool:
-    """Write the time of every frame on the bus into `times_ns`, if all are classical; else return False.
-
-    Parameters
-    ----------
-    rows : array of uint8, shape (n, 72)
-        As for `count_stuff`.
-    times_ns : array of int64, shape (n,)
-        Written.
-    """
+@njit(int64(ROWS, int64, int64, int64[::1]), cache=True, nogil=True)
+def add_times(rows: Any, bitrate: int, data_bitrate: int, times_ns: Any) -> int:
+    """Return the time of all frames on the bus; write that of each frame into `times_ns` as far as there is room."""
+    busy_ns = 0
     for index in range(rows.shape[0]):
-        row = rows[index]
-        flags = row[_FLAGS]
-        if flags & (FD | ERROR):
-            return False
-        payload = 0 if flags & REMOTE else 8 * min(int(row[_LENGTH]), CLASSIC_BYTES)
-        bits = (EXTENDED_BITS if flags & EXTENDED else BASE_BITS) + CLASSIC_TAIL + payload + count_classic(row)
-        times_ns[index] = np.int64(np.rint(bits / bitrate * 1e9))
-    return True
+        nominal, data = count_bits(rows[index, CAN_ID_AT:])
+        time_ns = int(np.rint((nominal / bitrate + data / data_bitrate) * 1e9))
+        busy_ns += time_ns
+        if index < times_ns.size:
+            times_ns[index] = time_ns
+    return busy_ns

@@ -1,6 +1,6 @@
 """How the blocks of a stepped skin stand, and their sums in the order of Φ."""
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +8,7 @@ import numpy.typing as npt
 from canskin.messages import BlockState
 from dbc.contract import Contract, PartTable
 from dbc.steps import LATE_SLOTS, SET_SUMS, form_at
-from gateway.stepped_state import NEVER_NS, Flags, Integers, PartSums, Slots, forget
+from gateway.stepped_state import NEVER_NS, Flags, Integers, PartSums, forget
 from shell.compiled import borrowed, njit
 from skin.walsh import grouped_rows
 
@@ -61,25 +61,17 @@ def new_states(contract: Contract, now_ns: int) -> BlockStates:
 
 
 @njit(cache=True, nogil=True)
-def judge(  # noqa: PLR0917  compiled functions take no keywords
-    now_ns: int,
-    counts_per_unit: float,
-    is_proven: Flags,
-    slots: Slots,
-    table: PartTable,
-    state: PartSums,
-    shown: BlockStates,
-) -> None:
+def judge(now_ns: int, counts_per_unit: float, known: Any, shown: BlockStates) -> None:
     """Find parts that are silent for too long, and bring what is shown up to date.
 
     Parameters
     ----------
     counts_per_unit : float
         Of the sums that are shown, for each unit of the frames.
-    is_proven : array of bool, shape (blocks,)
+    known : shell.compiled.Held
+        As for `gateway.stepped_state.take_all`.
     """
-    (is_proven,), slots, table = borrowed((is_proven,)), borrowed(slots), borrowed(table)
-    state, shown = borrowed(state), borrowed(shown)
+    (is_proven, slots, table, state), shown = borrowed(known.value), borrowed(shown)
     part, parts = 0, table.block.size
     # Without SYNC boards have slots for two periods: from then on they say nothing, whatever happens.
     unslotted_ns = (2 * slots.per_sync + LATE_SLOTS) * slots.slot_ns

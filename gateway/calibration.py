@@ -106,9 +106,9 @@ class GatewayCalibration:
 
     def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Drop the zero of nodes whose gains or offsets have become others; call it before measurements are applied."""
-        changed = self._doubted.changed(masters)
-        if not changed.any():
+        if not any(master.recalibrated for master in masters.values()):
             return
+        changed = self._doubted.changed(masters)
         if self._keeps is not None:
             self._keeps.hasten()
         self._calibrator.forget_blocks(changed)

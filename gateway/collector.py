@@ -16,7 +16,7 @@ is valid if each of its frames came in the newest cycle of its turn.
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +41,7 @@ from gateway.open_cycles import (
 )
 from gateway.proven_blocks import ProvenBlocks
 from gateway.sync_times import NO_STAMPS, SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
-from shell.compiled import borrowed, njit
+from shell.compiled import borrowed, hold, njit
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: SYNCs without a frame that names an open cycle, after which the next frames of an identifier are doubtful.
@@ -100,6 +100,8 @@ class Gathering(NamedTuple):
     late_of_node, missing_of_node, twice_of_node : arrays of int64, shape (nodes,)
     heard : array of bool, shape (nodes,)
         Nodes that sent a TPDO.
+    expected : array of bool, shape (nodes,)
+        Nodes that a cycle waits for.
     raw : array of int32, shape (m,)
         Raw values of the sums that are held.
     """
@@ -112,6 +114,7 @@ class Gathering(NamedTuple):
     missing_of_node: Integers
     twice_of_node: Integers
     heard: Flags
+    expected: Flags
     raw: npt.NDArray[np.int32]
 
 
@@ -121,7 +124,7 @@ ACCEPTED, LATE, DUPLICATE, MALFORMED, MISSING, FOREIGN = range(6)
 
 @njit(cache=True, nogil=True)
 def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: Rows, places: Places, bus: int, stamp_error_ns: int, turns: int, table: FrameTable, state: Gathering
+    rows: Rows, places: Places, bus: int, stamp_error_ns: int, turns: int, held: Any
 ) -> None:
     """Use the frames that arrived on a bus, in bus order.
 
@@ -131,8 +134,10 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         See `gateway.batch.Batch`.
     stamp_error_ns : int
         Bound of the error of the clock of their time stamps, `NO_STAMPS` if they have none.
+    held : shell.compiled.Held
+        `FrameTable` and `Gathering`.
     """
-    (rows, places), table, state = borrowed((rows, places)), borrowed(table), borrowed(state)
+    (rows, places), (table, state) = borrowed((rows, places)), borrowed(held.value)
     for place in range(rows.shape[0]):
         row, frame = rows[place], places[place]
         if frame == NOTHING:
@@ -216,21 +221,48 @@ def count_answers(answers: Answers) -> None:
 
 
 @njit(cache=True, nogil=True)
+def open_cycle(counter: int, turn: int, held: Any) -> None:
+    """Begin the cycle of a SYNC, which waits for the frames of a turn; `held` as for `take_all`."""
+    table, state = borrowed(held.value)
+    count_answers(state.answers)
+    begin_cycle(counter, (state.answers.turn == turn) & state.expected[table.node], table, state.cycles)
+
+
+@njit(cache=True, nogil=True)
+def is_settled(counter: int, held: Any) -> bool:
+    """Tell whether a cycle can be closed: every bus has sent all expected frames, or a frame of the next cycle."""
+    _, state = borrowed(held.value)
+    slot = slot_of(counter)
+    for bus in range(state.cycles.passed.shape[1]):
+        if state.cycles.waiting[slot, bus] and not state.cycles.passed[slot, bus]:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
 def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
     slot: int,
     turn: int,
     turns: int,
     block_of_sum: npt.NDArray[np.intp],
-    bits: int,
-    is_signed: bool,
-    table: FrameTable,
-    state: Gathering,
+    packing: tuple[int, bool, int, int],
+    held: Any,
     proven: Flags,
     valid: Flags,
+    sums: npt.NDArray[np.int32],
 ) -> None:
-    """Keep the sums of a cycle of proven nodes, and clear `valid` for blocks that are not whole."""
-    table, state = borrowed(table), borrowed(state)
+    """Keep the sums of a cycle of proven nodes, clear `valid` for blocks that are not whole, and write all `sums`.
+
+    Parameters
+    ----------
+    packing : tuple
+        Bits, whether signed, offset and scale of `dbc.packing.Packing`.
+    held : shell.compiled.Held
+        As for `take_all`.
+    """
+    (bits, is_signed, offset, scale), (table, state) = packing, borrowed(held.value)
     cycles, age = state.cycles, state.answers.age
+    cycles.counter[slot] = 0
     for row in range(len(table.node)):
         is_proven = proven[block_of_sum[table.gather[row, 0]]]
         age[row] = min(age[row] + 1, _NEVER) if is_proven else _NEVER
@@ -245,6 +277,8 @@ def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
             for place in table.gather[row]:
                 if place >= 0:
                     valid[block_of_sum[place]] = False
+    for place in range(sums.size):
+        sums[place] = (state.raw[place] - offset) * scale if valid[block_of_sum[place]] else 0
 
 
 class Collector:
@@ -268,6 +302,8 @@ class Collector:
 
     def __init__(self, contract: Contract, early_echoes: Collection[int] = ()) -> None:
         self.expected = np.ones(len(contract.nodes), np.bool_)
+        packing = contract.packing
+        self._packing = packing.bits, packing.is_signed, packing.offset, packing.scale
         self._contract, self._table, self._phi = contract, contract.table, contract.phi
         self._early_echoes = early_echoes
         self._block_of_sum = np.ascontiguousarray(contract.phi.block_of_sum)
@@ -296,8 +332,10 @@ class Collector:
             missing_of_node=self.missing_of_node,
             twice_of_node=self.twice_of_node,
             heard=self.heard,
+            expected=self.expected,
             raw=np.zeros(self._phi.shape[0], np.int32),
         )
+        self._held = hold((self._table, self._state))
 
     @property
     def counts(self) -> FrameCounts:
@@ -322,9 +360,7 @@ class Collector:
         No cycle of the same slot (`slot_of`) may be open.
         """
         self._times.open(counter, due_ns, sent_ns)
-        count_answers(self._state.answers)
-        is_awaited = (self._state.answers.turn == self._contract.turn_of(counter)) & self.expected[self._table.node]
-        begin_cycle(counter, is_awaited, self._table, self._state.cycles)
+        open_cycle(counter, self._contract.turn_of(counter), self._held)
         self._proven.begin(slot_of(counter))
 
     def waiting(self, counter: int) -> Integers:
@@ -334,7 +370,7 @@ class Collector:
 
     def is_settled(self, counter: int) -> bool:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or a frame of the next cycle."""
-        return bool((self._state.cycles.passed[slot_of(counter)] | (self.waiting(counter) == 0)).all())
+        return is_settled(counter, self._held)
 
     def take(self, batch: Batch, stamp_error_ns: int | None) -> None:
         """Use the frames that arrived on a bus, in bus order.
@@ -342,8 +378,7 @@ class Collector:
         `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.
         """
         error_ns = NO_STAMPS if stamp_error_ns is None else stamp_error_ns
-        turns = self._contract.turns
-        take_all(batch.rows, batch.places, batch.bus, error_ns, turns, self._table, self._state)
+        take_all(batch.rows, batch.places, batch.bus, error_ns, self._contract.turns, self._held)
 
     def lost(self, bus: int) -> None:
         """Take note that frames of a bus were lost, a foreign SYNC perhaps."""
@@ -351,8 +386,7 @@ class Collector:
 
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums; cycles are closed in the order of their SYNCs."""
-        slot, packing = slot_of(counter), self._contract.packing
-        self._state.cycles.counter[slot] = 0
+        slot, sums = slot_of(counter), np.empty(self._phi.shape[0], np.int32)
         proven = self._proven.during(slot)
         valid = proven & self._phi.has_sums
         close_cycle(
@@ -360,13 +394,10 @@ class Collector:
             self._contract.turn_of(counter),
             self._contract.turns,
             self._block_of_sum,
-            packing.bits,
-            packing.is_signed,
-            self._table,
-            self._state,
+            self._packing,
+            self._held,
             proven,
             valid,
+            sums,
         )
-        sums = packing.counts(self._state.raw)
-        sums[~self._phi.sums_of_blocks(valid)] = 0
         return Gathered(sums, valid, self._times.close(counter), bool(valid[self._contract.needed].all()))

@@ -10,6 +10,7 @@ import numpy as np
 
 from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement, NodeEmergency
+from dbc.configuration import TICK_S
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import Frames
@@ -37,8 +38,6 @@ SETTLE_S: Final = 0.1
 UNNUMBERED_S: Final = 1.0
 #: SYNC of somebody else is told for this time.
 OTHER_SYNC_S: Final = 10.0
-#: The load of one bus is added up after a measurement, at most this often.
-ACCOUNT_PERIOD_S: Final = 0.05
 
 
 @dataclass
@@ -116,9 +115,8 @@ class GatewayLoop:
         )
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
-        self._look_s = self._account_s = self._time_due_s = now_s
+        self._tick_s = self._look_s = self._time_due_s = now_s
         self._time_period_s = contract.layout.sync.time_s
-        self._accounted = 0
 
     @property
     def in_flight(self) -> int:
@@ -174,9 +172,13 @@ class GatewayLoop:
         bus.load.take(batch.rows)
 
     def tick(self, now_s: float) -> None:
-        """Do all that is due at `now_s`, except SYNC and measurements."""
+        """Do all that is due at `now_s`, except SYNC and measurements: most of it each `TICK_S`."""
         for bus in self._buses.values():
             bus.outgoing.tick(now_s)
+        if now_s < self._tick_s:
+            return
+        self._tick_s = now_s + TICK_S
+        for bus in self._buses.values():
             bus.master.tick(now_s)
             self._trust(bus)
             if bus.master.strangers.tick(now_s):
@@ -219,13 +221,7 @@ class GatewayLoop:
 
     def measurements(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
         """Return the measurements that are due."""
-        made = self.gathering.measurements(now_s, wall_offset_ns)
-        if made and now_s >= self._account_s:
-            # One bus at a time, after a measurement: the loop has time then.
-            self._account_s = now_s + ACCOUNT_PERIOD_S
-            self._accounted += 1
-            self._buses[self._numbers[self._accounted % len(self._numbers)]].load.account()
-        return made
+        return self.gathering.measurements(now_s, wall_offset_ns)
 
     def _send_time(self, now_s: float, wall_offset_ns: int) -> None:
         """Send TIME if it is due. After SYNC: SYNC never waits for it."""

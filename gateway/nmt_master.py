@@ -24,7 +24,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     NmtCommand,
 )
-from dbc.configuration import QUIET_S, TICK_S, calibration, configuration, expected_signature, proof_period_s
+from dbc.configuration import QUIET_S, calibration, configuration, expected_signature, proof_period_s
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, Frames
 from gateway.foreign_sdo import CONFIGURATION, GAINS, ForeignClient
@@ -98,7 +98,7 @@ class NmtMaster:
         self.strangers = Strangers(send)
         self.emergencies, self.recalibrated = self._bus.emergencies, self._bus.recalibrated
         self._is_new = True
-        self._quiet_since_s = self._tick_s = -np.inf
+        self._quiet_since_s = -np.inf
 
     @property
     def passed(self) -> bool:
@@ -176,10 +176,7 @@ class NmtMaster:
             node.take_emergency(int.from_bytes(data[:2], "little"), now_s)
 
     def tick(self, now_s: float) -> None:
-        """Check times, begin dialogues, and start proven nodes; call it many times a second."""
-        if now_s < self._tick_s:
-            return
-        self._tick_s = now_s + TICK_S
+        """Check times, begin dialogues, and start proven nodes; call it each `TICK_S`."""
         if self._is_new and self._bus.in_steps:
             self.restart(now_s)
         self._is_new = False

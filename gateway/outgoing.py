@@ -62,6 +62,8 @@ class Outgoing:
     def tick(self, now_s: float) -> None:
         """Drop what is too old, and send what may go; call it many times a second."""
         self._now_s = now_s
+        if not self._waiting and not self._under_way:
+            return
         while self._waiting and now_s - self._waiting[0][0] > TIMEOUT_S:
             self._waiting.popleft()
         while self._under_way and now_s - self._under_way[0] > (LOST_S if self._has_echoes else UNTOLD_S):

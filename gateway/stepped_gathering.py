@@ -20,11 +20,17 @@ from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
 from gateway.stepped_state import COUNTED, NEVER_NS, forget, new_sums, slots_of, take_all
 from gateway.sum_requests import SumRequests
+from shell.compiled import hold
 
 #: Measurements in a second, with news and at least; the limits of other rates.
 RATES_HZ: Final = (250.0, 10.0)
 RATE_MAX_HZ: Final = 1000.0
 RATE_MIN_HZ: Final = 1.0
+#: Boards near a touch send one after the other in each slot, and rest then: a measurement is made this long after the
+#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later.
+AFTER_NEWEST_S: Final = 0.0004
+SOONER_S: Final = 0.0002
+LATER_S: Final = 0.0001
 #: Longest time for which frames wait unread: a request for a missing group waits for its turn, too.
 REST_MAX_S: Final = 0.02
 
@@ -86,11 +92,12 @@ class SteppedGathering:
         self._shortest_s, self._longest_s = (1 / rate_hz for rate_hz in rates_hz)
         self.published = self.complete = 0
         self._contract, self._table = contract, contract.parts
-        self._slots, self._state = slots_of(contract), new_sums(contract)
+        self._state = new_sums(contract)
         self._all_missing = self._state.missing.copy()
         self._told_different = self._state.different.copy()
         self._counts_per_unit = contract.unit_n / contract.layout.taxels.newton_per_count
         self._is_proven = np.zeros(contract.phi.blocks, np.bool_)
+        self._known = hold((self._is_proven, slots_of(contract), self._table, self._state))
         self._shown = new_states(contract, round(now_s * 1e9))
         self._noise_n = np.full(contract.phi.blocks, np.nan)
         self._median_n = 0.0
@@ -101,6 +108,8 @@ class SteppedGathering:
         #: Bound of the age of its sample, with the error of its time stamp.
         self._newest_error_ns = UNKNOWN_ERROR_NS
         self._published_s, self._has_news = now_s, False
+        #: When the next measurement comes; not before `_earliest_s`, so that no more come than are asked for.
+        self._next_s = self._earliest_s = now_s
         # What runs for each frame is compiled before the first comes.
         self.take(batch_of(frames(0), next(iter(masters)), self._table), Health(), now_s)
         self._judge(now_s)
@@ -114,7 +123,7 @@ class SteppedGathering:
     @property
     def due_s(self) -> float:
         """When the next measurement is due: soon after news, else at the least rate."""
-        return self._published_s + (self._shortest_s if self._has_news else self._longest_s)
+        return self._next_s if self._has_news else self._published_s + self._longest_s
 
     @property
     def may_sleep_until_s(self) -> float:
@@ -122,8 +131,9 @@ class SteppedGathering:
 
         While a node is not proven, frames are answers and the next question waits for them: then for `READ_S`.
         """
-        rest_s = min(self._shortest_s, REST_MAX_S) if self._is_proven.all() else READ_S
-        return self._published_s + rest_s
+        if not self._is_proven.all():
+            return self._published_s + READ_S
+        return min(self._next_s, self._published_s + REST_MAX_S)
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use a node's frames that come from now on if `proven`; else forget its sums at once."""
@@ -142,7 +152,7 @@ class SteppedGathering:
         Frames before the end of a node's proof are not used, nor those that came together with it.
         """
         mine, state = self._buses[batch.bus], self._state
-        newest_ns, taken_ns = take_all(batch, self._is_proven, self._slots, self._table, state)
+        newest_ns, taken_ns = take_all(batch, self._known)
         mine.newest_ns = max(mine.newest_ns, newest_ns)
         if newest_ns > self._newest_ns:
             error_ns, self._newest_ns = health.stamp_error_ns, newest_ns
@@ -177,6 +187,9 @@ class SteppedGathering:
     def measure(self, now_s: float, wall_offset_ns: int) -> SteppedMeasurement:
         """Return a measurement, due or not."""
         self._published_s, self._has_news = now_s, False
+        self._earliest_s = max(self._earliest_s + self._shortest_s, now_s)
+        sooner_s = min(max(now_s - 1e-9 * self._newest_ns - AFTER_NEWEST_S, -LATER_S), SOONER_S)
+        self._next_s = max(self._earliest_s, now_s + self._shortest_s - sooner_s)
         self._judge(now_s)
         shown = self._shown
         self.published += 1
@@ -239,5 +252,4 @@ class SteppedGathering:
         self._has_news = True
 
     def _judge(self, now_s: float) -> None:
-        known = self._is_proven, self._slots, self._table, self._state
-        judge(round(now_s * 1e9), self._counts_per_unit, *known, self._shown)
+        judge(round(now_s * 1e9), self._counts_per_unit, self._known, self._shown)

@@ -15,7 +15,7 @@ after a longer silence: 691 slots, 2.8 s by default.
 without words for that long is late, as a part whose newest word came late.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -161,29 +161,27 @@ def forget(part: int, table: PartTable, state: PartSums) -> None:
     state.newest_ns[part], state.has_changed[part] = NEVER_NS, True
 
 
-def take_all(batch: Batch, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums) -> tuple[int, int]:
+def take_all(batch: Batch, known: Any) -> tuple[int, int]:
     """Use the frames of a bus, in bus order.
 
     Parameters
     ----------
-    is_proven : array of bool, shape (blocks,)
-        Blocks whose frames may be used.
+    known : shell.compiled.Held
+        Blocks whose frames may be used (array of bool, shape (blocks,)), `Slots`, `PartTable`, and `PartSums`.
 
     Returns
     -------
     newest_ns, taken_ns : int
         When the newest frame that was used ended, or `NEVER_NS`; how long ago its node had begun with it.
     """
-    newest_ns, taken_ns = _take_all(batch.rows, batch.places, batch.bus, is_proven, slots, table, state)
+    newest_ns, taken_ns = take_rows(batch.rows, batch.places, batch.bus, known)
     return newest_ns, taken_ns
 
 
 @njit(cache=True, nogil=True)
-def _take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: Rows, places: Places, bus: int, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums
-) -> tuple[int, int]:
-    (rows, places, is_proven), slots = borrowed((rows, places, is_proven)), borrowed(slots)
-    table, state = borrowed(table), borrowed(state)
+def take_rows(rows: Rows, places: Places, bus: int, known: Any) -> tuple[int, int]:
+    """Do what `take_all` does."""
+    (rows, places), (is_proven, slots, table, state) = borrowed((rows, places)), borrowed(known.value)
     newest_ns, taken_ns = NEVER_NS, 0
     for place in range(rows.shape[0]):
         row, frame = rows[place], places[place]

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc import indices as od
-from dbc.configuration import TICK_S
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
@@ -59,7 +58,6 @@ class SumRequests:
         self._next_s = np.full(nodes, -np.inf)
         self._tries = np.zeros(nodes, np.intp)
         self._open: list[tuple[int, SdoDialogue]] = []
-        self._tick_s = -np.inf
 
     def proven(self, node: int, now_s: float) -> None:
         """Take note that a node has just been proven: its noise is asked for, and sums that its start did not bring."""
@@ -76,16 +74,13 @@ class SumRequests:
         self._next_s[:], self._tries[:] = -np.inf, 0
 
     def tick(self, now_s: float, is_wanted: Flags) -> None:
-        """Ask who has to be asked; call it many times a second.
+        """Ask who has to be asked; call it each `TICK_S`.
 
         Parameters
         ----------
         is_wanted : array of bool, shape (nodes,)
             Nodes that have to send all sums again.
         """
-        if now_s < self._tick_s:
-            return
-        self._tick_s = now_s + TICK_S
         if self._master.is_quiet:
             np.maximum(self._next_s, now_s + self._start_s, out=self._next_s)
             return

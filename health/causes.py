@@ -47,12 +47,16 @@ class Cause(Enum):
     BUS_OFF = (ERROR, "a bus is dead: the controller is bus-off", _WIRING + "; compare bit rates: 'skin doctor'")
     ERROR_PASSIVE = (WARNING, "no node acknowledges frames", _WIRING + "; compare bit rates: 'skin doctor'")
     SYNC_REFUSED = (WARNING, "SYNC is not sent on a bus", "free the bus or the host: 'skin load', 'skin doctor time'")
-    OTHER_SYNC = (ERROR, "blocks are not valid: SYNC has two producers", "clear bit 30 of 1005h of the other producer")
+    OTHER_SYNC = (
+        ERROR,
+        "blocks are not valid: SYNC has two producers",
+        "stop the second gateway, or clear bit 30 of 1005h of the device that 'skin scan' names",
+    )
     BUS_ERRORS = (WARNING, "frames are destroyed on a bus", _WIRING + "; compare bit rates")
     BUS_LOAD_ABOVE_PLAN = (WARNING, "a bus carries more than its plan", "'skin load --check' tells what is not planned")
     BUS_FULL = (WARNING, "frames come late or not at all", "'skin load' tells who fills the bus")
     CABLE_BREAK = (ERROR, "all boards behind a place are silent", "check the cable and the plug at {subject}")
-    NOTHING_MEASURED = (ERROR, "no block sends sums", "start the boards; 'skin doctor' tells what is there")
+    NOTHING_MEASURED = (ERROR, "no block sends sums", "start the boards; 'skin scan' tells what is there")
     # Nodes
     NODE_ABSENT = (
         WARNING,
@@ -70,7 +74,7 @@ class Cause(Enum):
     NODE_REFUSED = (
         WARNING,
         "a board's configuration is refused",
-        "compare its program with the layout: 'skin node check'",
+        "compare its program with the layout: stop the gateway, then 'skin node check --node ID'",
     )
     NODE_UNANSWERED = (WARNING, "a board answers no SDO request", "reset the board; another master may use its SDO")
     NODE_LEFT = (WARNING, "a board has left OPERATIONAL", "its emergency says why; the gateway starts it again")

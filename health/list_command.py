@@ -13,6 +13,7 @@ from canskin.fabric import Fabric
 from canskin.messages import IMAGE, LABEL, MEASUREMENT, TRUTH, NmtState, Topic
 from canskin.peers import GATEWAYS, Peer
 from canskin.session import DEFAULT_ENDPOINT, peers_at
+from health.causes import Cause
 from health.feed import Watched
 from health.snapshot import Snapshot
 from shell.skin_options import PATIENCE_S, hub_layout, knows_layout
@@ -135,6 +136,8 @@ def _listed(
         state = f"{nmt.count(NmtState.OPERATIONAL)} of {len(nmt)} nodes operational"
     others = {each.service for each in peers if each.skin == peer.skin} - {peer.service}
     mine = [each.code for each in look.notices if each.subject == peer.service] if look else []
+    if look is None and peer.service in GATEWAYS and rate_hz == 0:  # nor does it tell the layout
+        mine = [Cause.GATEWAY_SILENT.code]
     if look and peer.service in GATEWAYS:
         mine = [each.code for each in look.notices if each.subject not in others]
     return Listed(

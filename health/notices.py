@@ -13,6 +13,8 @@ from health.snapshot import BusView, NodeTrouble, Notice, Service, Snapshot
 
 #: Most node-IDs named in one notice, where tiles show the others, and most defects and contacts in doubt.
 NAMED: Final = 8
+#: A force that has been in doubt for less is no news: most of them move again.
+DOUBTED_S: Final = 10.0
 #: A gateway that has run for longer is no longer starting, s.
 STARTED_S: Final = 30.0
 #: Above this load a bus is full: the rest of the time is between frames.
@@ -176,16 +178,19 @@ def _doubts(state: Snapshot, *, is_grid: bool) -> Iterator[Notice]:
     known = state.contacts
     if known is None or known.stale or known.blind:
         return
-    doubtful = [each for each in known.contacts if each.doubtful]
-    for each in doubtful[:NAMED]:
+    doubtful = [
+        (each, (known.sampled_mono_ns - each.doubtful_since_mono_ns) * 1e-9) for each in known.contacts if each.doubtful
+    ]
+    doubtful = [(each, lasts_s) for each, lasts_s in doubtful if lasts_s >= DOUBTED_S]
+    for each, lasts_s in doubtful[:NAMED]:
         where = f"row {each.row:.0f}, column {each.column:.0f}" if is_grid else f"taxel {each.column:.0f}"
         force = f"a force of {each.force_n:.3g} N around {where}"
-        lasts_s = (known.sampled_mono_ns - each.doubtful_since_mono_ns) * 1e-9
         # Elsewhere the numbers of a contact's taxels have others between them.
         region = f" --region {each.top},{each.left},{each.bottom},{each.right}" if is_grid else ""
         why = "a still weight, or an error of the zero, as of a warm patch; if nothing touches there"
         text = f"{force} has been in doubt for {lasts_s:.0f} s: {why}: skin tare{region}"
-        yield Cause.DOUBTFUL_FORCE.notice(text, f"contact {each.identity}")
+        mend = f"'skin tare{region}' if nothing touches there"
+        yield Cause.DOUBTFUL_FORCE.notice(text, f"contact {each.identity}", mend=mend)
     if len(doubtful) > NAMED:
         yield Cause.DOUBTFUL_FORCE.notice(f"{len(doubtful) - NAMED} more contacts are in doubt", "more contacts")
 

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import SILENT, BusState, Contacts, GatewayStatus, Label, NmtState, NodesStatus
+from canskin.messages import SILENT, BusState, Contacts, Fault, GatewayStatus, Label, NmtState, NodesStatus
 
 Pixels = npt.NDArray[np.float32]
 #: States of the gateway's controller in which it neither sends nor receives.
@@ -360,8 +360,10 @@ def bus_views(status: GatewayStatus, troubles: Mapping[str, list[NodeTrouble]]) 
 
 def _bus_view(bus: BusState, troubles: list[NodeTrouble], *, runs: bool) -> BusView:
     is_dead = bus.link in DEAD_LINKS
-    is_gone = is_dead or (runs and NmtState.OPERATIONAL not in bus.nmt)
-    has_trouble = bus.trouble or set(bus.nmt) != {NmtState.OPERATIONAL}
+    away = {node for node, fault in bus.faults.items() if fault.kind is Fault.AWAY}
+    wanted = {nmt for node, nmt in zip(bus.nodes, bus.nmt, strict=True) if node not in away}
+    is_gone = is_dead or (runs and bool(wanted) and NmtState.OPERATIONAL not in wanted)
+    has_trouble = bus.trouble or wanted - {NmtState.OPERATIONAL}
     more = {
         "nmt": list(bus.nmt),
         "dead": is_dead,

@@ -18,7 +18,6 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse.linalg import LinearOperator, eigsh
 
 from canskin.errors import InputError
 from reconstructor.bases import Basis
@@ -133,6 +132,8 @@ def largest_eigenvalue(phi: Operator, psi: Basis) -> float:
     Computed from ΦΨΨᵀΦᵀ, a smaller matrix with the same eigenvalue. Leaving out rows of Φ never increases the
     eigenvalue, so it is a valid L for every mask.
     """
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
     check_sizes(phi, psi)
 
     def gram(y: Values) -> Values:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
 from skin.defects import SumGains
 from skin.frontend import LEAST_FELT, felt_by_sums
@@ -40,6 +39,8 @@ class GainCorrection:
     """Takes known gains off sums, one cycle after the other."""
 
     def __init__(self, phi: Sbhe, gains: KnownGains) -> None:
+        from scipy.sparse import csr_array
+
         taxels = phi.taxels_of_blocks[phi.block_of_sum]
         signs = np.asarray(fast_hadamard(np.eye(phi.block_size)))[phi.row_of_sum]
         sums = np.repeat(np.arange(phi.shape[0]), phi.block_size)

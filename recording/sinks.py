@@ -8,9 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-import can
 import numpy as np
-from can.io.logger import MESSAGE_WRITERS
 
 from bus.messages import to_message
 from canskin.errors import InputError
@@ -122,6 +120,8 @@ class LogSink:
     has_messages = False
 
     def __init__(self, path: Path, layout: Layout) -> None:
+        import can
+
         self._log = can.Logger(path)
         is_named = path.suffix.lower() == _NAMED
         self._channels = [bus.name if is_named else str(number) for number, bus in enumerate(layout.bus)]
@@ -188,8 +188,12 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
 
 def check_format(path: Path, buses: int) -> None:
     """Check that `path` names a format, and that a log of this format can have `buses` buses."""
+    if is_recording(path):
+        return
+    from can.io.logger import MESSAGE_WRITERS
+
     suffix = path.suffix.lower()
-    if suffix not in {RECORDING_SUFFIX, *MESSAGE_WRITERS}:
+    if suffix not in MESSAGE_WRITERS:
         raise InputError(
             f"{path}: expected a file that ends in {RECORDING_SUFFIX}, or, for frames alone, in one of "
             f"{', '.join(sorted(MESSAGE_WRITERS))}"

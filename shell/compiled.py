@@ -8,7 +8,9 @@ is made with `njit` of this module.
 
 import hashlib
 import inspect
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import FunctionType
@@ -20,12 +22,33 @@ from numba import config, types
 from numba.core import caching, cgutils, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
+from numba.experimental import structref
 from numba.extending import intrinsic, is_jitted
 from numba.np.arrayobj import make_array
 
 from shell.watchdog import WATCHDOG
 
-__all__ = ["borrowed", "njit"]
+__all__ = ["Held", "borrowed", "hold", "njit"]
+
+
+@contextmanager
+def _missing(*names: str) -> Iterator[None]:
+    """Let the import of modules fail meanwhile."""
+    there = {name: sys.modules.pop(name) for name in names if name in sys.modules}
+    sys.modules |= dict.fromkeys(names)  # type: ignore[arg-type]  # None: not to be found
+    try:
+        yield
+    finally:
+        for name in names:
+            del sys.modules[name]
+        sys.modules |= there
+
+
+# Numba imports both only to see that they are there, 0.2 s for SciPy's. No kernel calls functions of CFFI, or np.cov;
+# for products of matrices Numba imports SciPy's again.
+with _missing("cffi", "scipy.linalg.cython_blas"):
+    import numba.core.typing.cffi_utils
+    import numba.np.arraymath
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -156,8 +179,10 @@ class _Compiling(event.Listener):
 event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]
 
 
-def njit(*signatures: Any, cache: bool = False, **options: Any) -> Callable[[Kernel], "Dispatcher[Kernel]"]:
+def njit(signature: Any = None, *, cache: bool = False, **options: Any) -> Callable[[Kernel], "Dispatcher[Kernel]"]:
     """Return what compiles a function as ``numba.njit`` does, and keeps the kernel where `cache` is set.
+
+    With a signature all arguments are converted to its types. No kernel is compiled or loaded before its first call.
 
     On a machine where none of `PLACES` can be written, such as a container without volumes, the kernel is compiled in
     memory by every process. There Numba raises RuntimeError for ``cache=True``.
@@ -166,7 +191,37 @@ def njit(*signatures: Any, cache: bool = False, **options: Any) -> Callable[[Ker
     def compile_kernel(function: Kernel) -> "Dispatcher[Kernel]":
         keeps = cache and any(place.from_function(function, inspect.getfile(function)) for place in PLACES)
         compiling: Any = numba.njit  # its overloads do not know arguments that are passed on
-        kernel: Dispatcher[Kernel] = compiling(*signatures, cache=keeps, **options)(function)
+        kernel: Dispatcher[Kernel] = compiling(cache=keeps, **options)(function)
+        if signature is None:
+            return kernel
+
+        def compile_signature(*_: Any, **__: Any) -> Any:
+            entry = kernel.compile(signature)
+            kernel.disable_compile()  # from now on arguments are converted
+            return entry
+
+        kernel._compile_for_args = compile_signature  # type: ignore[attr-defined]  # noqa: SLF001  what a first call calls
         return kernel
 
     return compile_kernel
+
+
+@structref.register
+class HeldType(types.StructRef):
+    """The type of `Held` in kernels; it depends on the type of the value."""
+
+
+class Held(structref.StructRefProxy):
+    """A (named) tuple of arrays and numbers that `hold` has bound, for kernels: its attribute `value`.
+
+    A call of a kernel takes as long as some hundred frames if it has to look at 40 arrays each time.
+    """
+
+
+structref.define_proxy(Held, HeldType, ["value"])  # type: ignore[no-untyped-call]
+
+
+@njit(cache=True)
+def hold(value: Any) -> Held:
+    """Return a (named) tuple as an argument for kernels that is looked at once."""
+    return Held(value)  # type: ignore[no-untyped-call]

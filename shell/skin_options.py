@@ -14,10 +14,10 @@ from cyclopts import Parameter
 from canskin.description import DESCRIPTION, LAYOUT, LayoutReply, LayoutRequest
 from canskin.errors import BusError, DeniedError, InputError, LayoutError, Stopped
 from canskin.fabric import Fabric
-from canskin.keys import environment_keys
+from canskin.keys import accepts, environment_keys
 from canskin.peers import GATEWAYS, Peer
 from canskin.roles import Action, refusal
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open, peers_at
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -70,7 +70,8 @@ class SkinOptions:
         recording : pathlib.Path, optional
             What the verb reads; a recording has its layout in itself.
         needs_hub : bool
-            False for a verb that works without services: without an option the layout is the default one.
+            False for a verb that works without services: without an option and a recording the layout is that of a hub
+            that is there now, else the default one.
 
         Raises
         ------
@@ -81,7 +82,7 @@ class SkinOptions:
         given = self.layout
         if given is None and is_recording(recording):
             given = recording
-        if given is None and (needs_hub or self.connect or self.skin):
+        if given is None and (needs_hub or self.connect or self.skin or (not recording and is_told(self.endpoint))):
             return hub_layout(self.endpoint, self.skin, stop, patience_s=PATIENCE_S)
         layout = load_layout(given)
         if self.skin not in {None, layout.name}:
@@ -211,6 +212,19 @@ def hub_layout(endpoint: str, skin: str | None, stop: Stop | None = None, *, pat
     peer = find_skin(endpoint, skin, find_s, knows_layout, words=_WORDS, stop=stop)[0]
     with closing(Fabric(peer.skin, "", endpoint, stop=stop, patience_s=patience_s)) as fabric:
         return _told(fabric, peer, endpoint, patience_s)
+
+
+def is_told(endpoint: str) -> bool:
+    """Tell whether a layout is told at an endpoint now."""
+
+    def is_known(peers: list[Peer]) -> bool:
+        return any(map(knows_layout, peers))
+
+    try:
+        endpoint, keys = checked(endpoint, environment_keys())
+        return accepts(endpoint) and is_known(peers_at(endpoint, GLANCE_S, is_known, keys=keys))
+    except BusError:
+        return False
 
 
 def knows_layout(peer: Peer) -> bool:

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from canskin.errors import UNDECODABLE, InputError, tell
 from canskin.messages import MEASUREMENT, Measurement
 from recording import is_recording
-from recording.mcap_file import CALIBRATION_FILE, newest_file, read_messages
 from skin.defects import SumGains
 from skin.layout import Layout
 from skin.limits import check_bytes, read_file
@@ -140,6 +139,8 @@ def load_calibration(path: Path, layout: Layout, *, is_shown: bool = False) -> S
 
 def _recorded(path: Path, layout: Layout, *, is_shown: bool) -> StoredCalibration:
     """Return the calibration that is attached to a recording, with the newest offsets of its measurements."""
+    from recording.mcap_file import CALIBRATION_FILE, newest_file, read_messages  # no service waits for it
+
     content = newest_file(path, CALIBRATION_FILE)
     attached = None if content is None else parse_calibration(content, layout, str(path), is_shown=is_shown)
     newest: Measurement | None = None

@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 
 from canskin.errors import InputError
 
@@ -26,6 +25,8 @@ _POINTS: Final = 1025
 
 def clipped_mean(force: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return m(x), the mean of x + N(0, 1) clipped at 0, for forces x in units of σ."""
+    from scipy.special import ndtr  # no verb waits for SciPy that has no need of it
+
     mean: npt.NDArray[np.float64] = force * ndtr(force) + np.exp(-(force**2) / 2) * IDLE_MEAN
     return mean
 

@@ -14,6 +14,7 @@ from hypothesis.internal.conjecture import providers
 from xdist.scheduler import LoadFileScheduling
 
 from canskin import session
+from canskin.keys import UNIX
 from tests.processes import PATIENCE_S, Verb, free_endpoint
 
 # A peer of the ROS 2 tests imports GitPython, which fails without a program that no test runs.
@@ -122,7 +123,8 @@ def one_look(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def own_sockets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the sockets of virtual buses in a folder of the test's own."""
+    """Keep the sockets of virtual buses, and that of the hub, in a folder of the test's own."""
     folder: Path = tmp_path_factory.mktemp("bus")
     folder.chmod(0o700)
     monkeypatch.setenv("SKIN_BUS_DIR", str(folder))
+    monkeypatch.setattr("shell.skin_options.DEFAULT_ENDPOINT", f"{UNIX}/{folder / 'hub'}")

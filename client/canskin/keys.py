@@ -23,6 +23,8 @@ KEY: Final = "key.pem"
 ENVIRONMENT: Final = "SKIN_KEYS"
 #: Protocols of zenoh's links that use keys.
 PROTOCOLS_WITH_KEYS: Final = ("tls", "quic")
+#: Zenoh's protocol of Unix sockets.
+UNIX: Final = "unixsock-stream"
 #: A service says so when its keys end in less.
 RENEWAL_DAYS: Final = 30
 _DAY_S: Final = 86400.0
@@ -174,13 +176,18 @@ def environment_keys() -> Keys | None:
 
 
 def accepts(endpoint: str) -> bool:
-    """Tell whether a program takes connections at an endpoint of TCP or TLS."""
+    """Tell whether a program takes connections at an endpoint of TCP, TLS or a Unix socket; it may be hung."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
-    if protocol not in {"tls", "tcp"}:
-        return False
     try:
-        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+        if protocol == UNIX:
+            with socket.socket(socket.AF_UNIX) as link:
+                link.settimeout(ANSWER_S)
+                link.connect(address)
+        elif protocol in {"tls", "tcp"}:
+            socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+        else:
+            return False
     except OSError:
         return False
     return True

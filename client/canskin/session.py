@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import zenoh
 
 from canskin.errors import BusError, Stopped, reasoned, tell
-from canskin.keys import ENVIRONMENT, HUB, PROTOCOLS_WITH_KEYS, Keys, accepts, environment_keys, reason
+from canskin.keys import ENVIRONMENT, HUB, PROTOCOLS_WITH_KEYS, UNIX, Keys, accepts, environment_keys, reason
 from canskin.peers import EVERY_KEY, Peer, new_peer, peer_of_key
 
 
@@ -28,8 +28,6 @@ def user_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"canskin-{os.getuid()}"
 
 
-#: Zenoh's protocol of Unix sockets.
-UNIX: Final = "unixsock-stream"
 #: Longest path of a Unix socket, bytes.
 SOCKET_PATH_MAX: Final = 107
 #: A socket that only this user may open, so that other users of this machine are out; without Unix sockets loopback.
@@ -254,8 +252,8 @@ def _silence(endpoint: str, listener: Listener) -> BusError:
     """Return the error of a program that got no answer in time."""
     if accepts(endpoint):
         return BusError(
-            f"the {listener.name} at {endpoint} does not answer: it is busy with other connections, or another program"
-            " has the port"
+            f"the {listener.name} at {endpoint} does not answer: it hangs, is busy with other connections, or another"
+            " program listens there"
         )
     return BusError(f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}")
 

@@ -19,6 +19,7 @@ from gateway.stepped_state import new_sums, slots_of, take_all
 from nodes.steps.filtering import PatchFilter
 from nodes.steps.simulated import Sample, SimulatedNodes, sync_frames
 from reconstructor.walsh import WalshReconstructor
+from shell.compiled import hold
 from touch.contact import Force
 
 
@@ -57,7 +58,8 @@ class _Followed(SimulatedNodes):
         self._mine = np.flatnonzero(np.isin(table.block, [node.block for node in nodes]))
         self._parts = len(self._mine) // len(nodes)
         self._slots, self._sums = slots_of(contract), new_sums(contract)
-        self._is_proven = np.ones(len(contract.nodes), np.bool_)
+        is_proven = np.ones(len(contract.nodes), np.bool_)
+        self._known = hold((is_proven, self._slots, contract.parts, self._sums))
         self.known_n: list[Force] = []
         # An untouched skin at rest: every sum has been told, and is 0; the next checks are spread over their period.
         groups, boards = int(table.form[:, 3].max()), len(state.slot)
@@ -73,7 +75,7 @@ class _Followed(SimulatedNodes):
         super().take(ended, unsent)
         arrived = ended.copy()
         arrived["flags"][arrived["can_id"] == SYNC_COB_ID] |= ECHO
-        take_all(batch_of(arrived, self._number, self._table), self._is_proven, self._slots, self._table, self._sums)
+        take_all(batch_of(arrived, self._number, self._table), self._known)
 
     def offer(self, period: int) -> Frames:
         """Return the frames that take part in arbitration."""

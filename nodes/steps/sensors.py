@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from dbc.patch_filter import SAMPLE_NS, Floats
 from nodes.electronics import Calibration
@@ -70,6 +69,8 @@ class PatchSensors:
         source: TaxelSource,
         seed: int,
     ) -> None:
+        from scipy.special import ndtri  # no verb waits for SciPy that has no need of it
+
         taxels = calibration.taxels
         self.counts = np.zeros(cells.shape, np.float32)
         self.touch_from_ns: int | None = None

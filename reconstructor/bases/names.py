@@ -3,12 +3,14 @@
 import difflib
 import re
 from functools import cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import pywt
 
 from canskin.errors import InputError
+
+if TYPE_CHECKING:
+    import pywt
 
 #: A wavelet without a form means the first.
 FORMS: Final = ("pyramid", "tensor")
@@ -29,14 +31,18 @@ def wavelet_basis_name(name: str) -> str:
         wavelet, form = name, FORMS[0]
     wavelet = _CANONICAL.get(wavelet, wavelet)
     if form not in FORMS or (wavelet not in _OURS and wavelet not in orthogonal_wavelets()):
+        import pywt
+
         is_other = form in FORMS and wavelet in pywt.wavelist()
         what = f"'{name}' is not orthogonal" if is_other else f"unknown basis '{name}'"
         raise InputError(f"{what}: {_expected(name)}")
     return f"{wavelet}-{form}"
 
 
-def wavelet_of(name: str) -> tuple[pywt.Wavelet, str]:
+def wavelet_of(name: str) -> "tuple[pywt.Wavelet, str]":
     """Return wavelet and form of a full name; raises as `wavelet_basis_name`."""
+    import pywt
+
     wavelet, _, form = wavelet_basis_name(name).rpartition("-")
     return pywt.Wavelet(_OURS.get(wavelet, wavelet)), form
 
@@ -44,10 +50,12 @@ def wavelet_of(name: str) -> tuple[pywt.Wavelet, str]:
 @cache
 def orthogonal_wavelets() -> tuple[str, ...]:
     """Return the names of the wavelets of PyWavelets that are orthogonal to 1e-9: not dmey."""
+    import pywt
+
     return tuple(name for name in pywt.wavelist(kind="discrete") if _is_orthogonal(pywt.Wavelet(name)))
 
 
-def _is_orthogonal(wavelet: pywt.Wavelet) -> bool:
+def _is_orthogonal(wavelet: "pywt.Wavelet") -> bool:
     if not wavelet.orthogonal:
         return False
     taps = np.array(wavelet.rec_lo)

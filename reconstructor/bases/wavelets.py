@@ -1,13 +1,15 @@
 """Bases of orthogonal wavelets: Mallat's pyramid, and the tensor of the paper's tables."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pywt
 
 from reconstructor.bases.names import wavelet_of
 from reconstructor.checks import Values, check_grid, check_values
+
+if TYPE_CHECKING:
+    import pywt
 
 Matrix = npt.NDArray[np.floating[Any]]
 
@@ -62,16 +64,18 @@ def wavelet_basis(name: str, rows: int, columns: int, dtype: npt.DTypeLike = np.
     return WaveletBasis([(down.astype(dtype), across.astype(dtype)) for down, across in steps])
 
 
-def wavelet_step(wavelet: pywt.Wavelet, size: int) -> Matrix:
+def wavelet_step(wavelet: "pywt.Wavelet", size: int) -> Matrix:
     """Return one level of an orthogonal wavelet, shape (size, size), low half above high half, periodic.
 
     PyWavelets' periodic transform starts half a filter before sample 2k; the phase here is that of `wavelet_basis`.
     """
+    import pywt
+
     first = np.roll(np.eye(size), 1 - wavelet.dec_len // 2, axis=0)
     return np.concatenate(pywt.dwt(first, wavelet, "periodization", axis=0))
 
 
-def _all_levels(size: int, wavelet: pywt.Wavelet) -> Matrix:
+def _all_levels(size: int, wavelet: "pywt.Wavelet") -> Matrix:
     """Apply levels to the low half until one value is left."""
     transform = np.eye(size)
     length = size

@@ -218,12 +218,6 @@ def test_wrong_options(small: Path, tmp_path: Path) -> None:
         classify(of=SkinOptions(layout=small), model=tmp_path / "x.npz")
 
 
-@pytest.mark.heavy
-def test_verbs_load_without_scikit_learn() -> None:
-    code = "import sys, classifier.command; sys.exit('sklearn' in sys.modules or 'scipy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 @pytest.fixture
 def hub(endpoint: str) -> Iterator[Fabric]:
     fabric = Fabric("small", "hub", endpoint, hub=True)

@@ -14,7 +14,8 @@ import pytest
 
 from canskin.errors import BusError
 from canskin.fabric import Fabric
-from canskin.session import UNIX, is_open, open_hub, own_folder
+from canskin.keys import UNIX
+from canskin.session import is_open, open_hub, own_folder
 from tests.processes import PATIENCE_S, free_port
 
 #: Runs the default hub until its input ends.

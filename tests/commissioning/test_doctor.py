@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -13,12 +14,15 @@ from typing import Any
 import pytest
 
 from bus.interface import Interface, Timing
+from bus.options import BusOptions
 from canskin.errors import BusError
 from canskin.fabric import Fabric
+from canskin.keys import UNIX
 from canskin.messages import GATEWAY, IMAGE, Fault, GatewayStatus, NodeFault
 from commissioning import doctor_command
 from health.alive import trouble
 from health.causes import Cause
+from shell.skin_options import SkinOptions
 from skin.layout import parse_layout
 from tests.bus.harness import interface, serving
 from tests.layouts import SHIPPED, buses, layout_toml
@@ -69,9 +73,11 @@ def test_without_hub_and_buses_each_is_named_with_its_command(
     palm: str, examined: Callable[..., tuple[int, Findings]]
 ) -> None:
     code, found = examined("--layout", palm)
-    assert (code, list(found)) == (1, ["hub-away", "interface-lost"])
+    assert (code, list(found)) == (1, ["interface-lost", "hub-away"])  # a gateway waits for its buses
     assert "skin gateway" in found["hub-away"]["mend"]
-    assert found["interface-lost"]["mend"] == "'skin bus bus1'"  # the last of both
+    assert found["interface-lost"]["text"].startswith("bus0, bus1: no bus 'bus0'")
+    assert found["interface-lost"]["mend"].startswith(f"'skin bus --layout {palm}'")
+    assert "give --layout if" in examined()[1]["hub-away"]["mend"]
 
 
 def test_a_bus_of_another_bit_rate_and_boards_that_are_not_there(
@@ -83,6 +89,8 @@ def test_a_bus_of_another_bit_rate_and_boards_that_are_not_there(
     with serving("bus0", "bus1"):
         _, found = examined("--layout", palm)
     assert "all 2 nodes never heard" in found["node-absent"]["text"]
+    assert f"'skin scan --layout={palm} --connect=tcp/" in found["node-absent"]["mend"]
+    assert f"'skin gateway --layout={palm}'" in found["hub-away"]["mend"]
 
 
 @pytest.mark.parametrize(
@@ -176,6 +184,21 @@ def test_a_hub_without_gateway_is_an_error_and_a_gateway_that_hangs_too(
     assert (code, list(found)) == (1, ["gateway-silent"])
 
 
+def test_a_hub_that_hangs_is_to_be_ended_and_nobody_guesses_which_skin_it_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor_command, "_host", lambda _: [])
+    monkeypatch.setattr(doctor_command, "_look_at_buses", lambda *_: pytest.fail("they may be those of who hangs"))
+    with closing(socket.socket(socket.AF_UNIX)) as hung:
+        hung.bind(str(tmp_path / "hub"))
+        hung.listen()
+        of = SkinOptions(connect=f"{UNIX}/{tmp_path / 'hub'}")
+        _, (found,) = doctor_command.examine(of, BusOptions())
+    assert (found.code, found.level) == ("hub-away", "error")
+    assert "does not answer: it hangs" in found.text
+    assert "kill -9" in found.mend
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -205,7 +228,7 @@ def test_findings_are_told_worst_first(palm: str, endpoint: str, skin: Verb) -> 
     levels = [line.partition(":")[0] for line in lines[:-1] if not line.startswith(" ")]
     assert code == 1
     assert levels == sorted(levels, key=["error", "warning", "info"].index)
-    assert lines[-1] == "palm: 3 errors"
+    assert lines[-1] == "palm: 2 errors"
 
 
 def images_come(endpoint: str) -> bool:

@@ -15,6 +15,7 @@ from gateway.block_states import judge, new_states
 from gateway.stepped_state import new_sums, slots_of, take_all
 from nodes.steps.simulated import touched_frames
 from reconstructor.stepped import SteppedImager
+from shell.compiled import hold
 from skin.layout import Layout
 from skin.measured_sums import SteppedSums
 from skin.psnr import psnr_db
@@ -45,17 +46,16 @@ class Slide:
 
 def received(contract: Contract, source: Slide) -> tuple[SteppedSums, int]:
     """Return what a gateway holds after `SECONDS`, and how many frames came."""
-    sums, slots, proven, frames = new_sums(contract), slots_of(contract), np.ones(contract.phi.blocks, np.bool_), 0
+    sums, frames = new_sums(contract), 0
+    known = hold((np.ones(contract.phi.blocks, np.bool_), slots_of(contract), contract.parts, sums))
     for bus in range(len(contract.layout.bus)):
         sent = touched_frames(contract, bus, source, SECONDS, seed=1)
-        take_all(
-            batch_of(heard(contract.layout, sent, SECONDS), bus, contract.parts), proven, slots, contract.parts, sums
-        )
+        take_all(batch_of(heard(contract.layout, sent, SECONDS), bus, contract.parts), known)
         frames += len(sent)
     assert sums.counts.tolist() == [frames, *[0] * 6], "every frame is used"
     shown = new_states(contract, 0)
     counts_per_unit = contract.unit_n / contract.layout.taxels.newton_per_count
-    judge(round(SECONDS * 1e9), counts_per_unit, proven, slots, contract.parts, sums, shown)
+    judge(round(SECONDS * 1e9), counts_per_unit, known, shown)
     return SteppedSums(shown.sums.ravel(), shown.valid > 0, shown.known.ravel() > 0, NOISE_N), frames
 
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from canskin.keys import ENVIRONMENT
-from canskin.session import UNIX
+from canskin.keys import ENVIRONMENT, UNIX
 from health.alive import trouble
 from hub.keys_command import new
 from tests.deploy.conftest import Install

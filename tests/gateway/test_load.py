@@ -26,7 +26,6 @@ def test_load_is_the_time_of_the_frames_over_the_time_since_the_last_look() -> N
 def test_mean_load_counts_from_the_restart() -> None:
     load = LoadMeter(WIRES, 10.0)
     load.take(frame_bytes(np.repeat(PLAIN, 100)))
-    load.account()
     load.take(frame_bytes(PLAIN))
     load.restart(20.0)
     assert load.mean_ratio(21.0) == load.take_ratio(21.0) == 0.0

@@ -45,6 +45,7 @@ from gateway.stepped_state import (
     slots_of,
     take_all,
 )
+from shell.compiled import hold
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.bus.harness import frame
 from tests.gateway.boards import small_stepped
@@ -146,6 +147,7 @@ class Skin:
         self.state, self.slots = new_sums(contract), slots_of(contract)
         self.shown = new_states(contract, 0)
         self.is_proven = np.ones(contract.phi.blocks, np.bool_)
+        self.known = hold((self.is_proven, self.slots, contract.parts, self.state))
         self.counts_per_unit = 1.0
         #: Slots that have passed, in all and since the newest SYNC was due; by how many the next is late.
         self.now, self.since, self.sync_late = 1000, 0, 0
@@ -174,8 +176,7 @@ class Skin:
 
     def arrive(self, came: Frames) -> None:
         came["time_ns"] = self.now_ns
-        parts = self.contract.parts
-        take_all(batch_of(came, 0, parts), self.is_proven, self.slots, parts, self.state)
+        take_all(batch_of(came, 0, self.contract.parts), self.known)
 
     def put(self, tpdo: int = 0, kind: str = "any", late: int = 0) -> bool:
         """Let a TPDO be sent in this slot, and wait for a while; tell whether it is."""
@@ -201,8 +202,7 @@ class Skin:
 
     def look(self) -> bool:
         """Judge, and tell whether the block is valid; a valid block has the integers of the newest words."""
-        known = self.is_proven, self.slots, self.contract.parts, self.state, self.shown
-        judge(self.now_ns, self.counts_per_unit, *known)
+        judge(self.now_ns, self.counts_per_unit, self.known, self.shown)
         if self.shown.valid[0]:
             tpdos, parts = self.sender.tpdos, len(self.sender.forms)
             for part, form in enumerate(self.sender.forms):

@@ -149,9 +149,6 @@ COURSES: dict[str, list[tuple[float, str, Callable[[Skin], object], list[int]]]]
         (0.03125, "0", lambda skin: skin.master.busy.clear(), [11]),
         (0.125, "0", _nothing, [11]),  # after the first pause
     ],
-    "ticks within ten milliseconds are one": [
-        *((0.0, "", _nothing, []), (0.0099, "0", _nothing, []), (0.0101, "0", _nothing, [11])),
-    ],
 }
 
 

@@ -80,6 +80,17 @@ def test_services_are_listed_with_what_they_send(
     ]
 
 
+def test_a_gateway_that_hangs_is_told(
+    endpoint: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("health.list_command.PATIENCE_S", PATIENCE_S)
+    monkeypatch.setattr("shell.skin_options.PATIENCE_S", 0.2)
+    with closing(Fabric("palm", "gateway", endpoint, hub=True, fingerprint=PALM.phi().fingerprint)):
+        list_(connect=endpoint, seconds=0.1, json=True)
+    (gateway,) = json.loads(capsys.readouterr().out)["services"]
+    assert (gateway["state"], gateway["causes"]) == ("silent", ["gateway-silent"])
+
+
 def test_a_hub_without_services_and_a_wrong_time_are_errors(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, one_look: None
 ) -> None:

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from canskin.messages import Fault, GatewayStatus, NodeFault
+from canskin.messages import SILENT, Fault, GatewayStatus, NmtState, NodeFault
 from health.causes import GRAVE, Cause
 from health.nodes_why import LOSS_S
 from health.state import ViewState
@@ -65,6 +65,16 @@ def changed_bus(status: GatewayStatus, **changed: object) -> GatewayStatus:
     return msgspec.structs.replace(
         status, buses=[msgspec.structs.replace(status.buses[0], **changed), *status.buses[1:]]
     )
+
+
+def test_optional_boards_that_are_not_there_are_no_trouble_of_their_bus(state: ViewState, messages: Messages) -> None:
+    for nodes in ([2], [1, 2]):  # also all boards of a bus
+        away = {node: NodeFault(Fault.AWAY) for node in nodes}
+        nmt = bytes(SILENT if node in nodes else NmtState.OPERATIONAL for node in (1, 2))
+        state.take(changed_bus(messages.gateway(), faults=away, nmt=nmt, nodes=[1, 2]), 1.0)
+        snapshot = seen_of(state, 1.0)
+        assert snapshot.gateway.buses[0].level == "info"
+        assert [each.level for each in snapshot.notices if each.code == "node-away"] == ["info"]
 
 
 @pytest.mark.parametrize("kind", Fault)

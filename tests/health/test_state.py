@@ -329,6 +329,8 @@ def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages:
     marked = msgspec.structs.replace(found.contacts[0], force_n=0.4321, doubtful_since_mono_ns=5_000_000_000)
     doubtful = msgspec.structs.replace(found, sampled_mono_ns=50_000_000_000, contacts=[marked])
     state.take(doubtful, 1.0)
+    (notice,) = [each for each in seen_of(state, 1.1).notices if each.level == "warning"]
+    assert notice.mend == "'skin tare --region 2,0,13,11' if nothing touches there"
     (text,) = texts(state, 1.1, "warning")
     assert text == (
         "a force of 0.432 N around row 8, column 6 has been in doubt for 45 s: a still weight, or an error of the zero,"
@@ -338,6 +340,8 @@ def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages:
     state.take(msgspec.structs.replace(doubtful, contacts=[marked] * 10), 9.0)
     assert len(texts(state, 9.1, "warning")) == 9
     assert "2 more contacts are in doubt" in texts(state, 9.1, "warning")
+    state.take(msgspec.structs.replace(doubtful, sampled_mono_ns=14_000_000_000), 9.1)
+    assert texts(state, 9.2, "warning") == []  # most forces move again
     state.take(found, 9.2)
     assert texts(state, 9.3, "warning") == []
 
@@ -345,7 +349,8 @@ def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages:
 def test_a_doubtful_contact_of_a_skin_that_is_no_grid_is_named_by_its_taxel() -> None:
     state = ViewState(tube_layout())
     box = {"top": 0, "bottom": 0, "left": 12, "right": 20}
-    state.take(make.contacts(1, make.contact(row=0.0, column=17.0, doubtful_since_mono_ns=5, **box)), 1.0)
+    found = make.contacts(1, make.contact(row=0.0, column=17.0, doubtful_since_mono_ns=5, **box))
+    state.take(msgspec.structs.replace(found, sampled_mono_ns=20_000_000_000), 1.0)
     (text,) = texts(state, 1.1, "warning")
     assert "N around taxel 17 has been in doubt" in text
     assert text.endswith("if nothing touches there: skin tare")

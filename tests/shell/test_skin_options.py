@@ -146,6 +146,16 @@ def test_two_names_are_refused() -> None:
         SkinOptions(layout=Path("default"), skin="palm").find()
 
 
-def test_verbs_without_services_take_the_default_skin() -> None:
-    assert SkinOptions().find(needs_hub=False) == load_layout()
-    assert SkinOptions().find(recording=Path("run.log"), needs_hub=False) == load_layout()
+def test_verbs_without_services_take_the_skin_of_a_hub_that_is_there_else_the_default_one(
+    own_sockets: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = SkinOptions()
+    assert options.find(needs_hub=False) == load_layout()
+    monkeypatch.setattr(skin_options, "GLANCE_S", PATIENCE_S)
+    with hub(options.endpoint, PALM):
+        assert options.find(needs_hub=False) == PALM
+        assert options.find(recording=Path("run.log"), needs_hub=False) == load_layout()
+        assert SkinOptions(layout=Path("steps")).find(needs_hub=False) == load_layout(Path("steps"))
+    with closing(Fabric("hand", "recorder", options.endpoint, hub=True)):
+        monkeypatch.setattr(skin_options, "GLANCE_S", 0.1)
+        assert options.find(needs_hub=False) == load_layout()

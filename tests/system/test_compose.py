@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from canskin.keys import UNIX
 from canskin.roles import ROLES
-from canskin.session import UNIX
 from tests.layouts import slow_layout
 from tests.processes import PATIENCE_S, Processes, free_port
 from tests.readonly import Confined, give_compiled, not_here

@@ -84,14 +84,14 @@ def _head(state: Snapshot) -> list[Text]:
         head.append(f"{label.label} {label.confidence:.0%}" if label.label else "untouched")
     if (patch := next(iter(state.patches), None)) is not None and patch.force_n is not None:
         head.append(f"{_GAP}{patch.force_n:.3g} N")
-    rates = [_clock(state.time_s)]
+    rates = [_clock(state.time_s)]  # all within 80 columns
     if gateway is not None and not gateway.stale:
-        rates.append(f"SYNC {gateway.sync_rate_hz:.1f} Hz")
-    rates.append(f"images {figures.images_hz:.1f}/s")
+        rates.append(f"SYNC {gateway.sync_rate_hz:.4g} Hz")
+    rates.append(f"{figures.images_hz:.3g} images/s")
     if figures.latency_p50_s is not None and figures.latency_p99_s is not None:
-        rates.append(f"latency {1e3 * figures.latency_p50_s:.1f} ms, p99 {1e3 * figures.latency_p99_s:.1f} ms")
+        rates.append(f"{1e3 * figures.latency_p50_s:.1f} ms, p99 {1e3 * figures.latency_p99_s:.1f} ms")
     if figures.valid_blocks_low is not None:
-        rates.append(f"blocks {figures.valid_blocks} of {figures.blocks}, least {figures.valid_blocks_low}")
+        rates.append(f"least {figures.valid_blocks_low}/{figures.blocks} blocks")
     return [head, Text(f" {_GAP.join(rates)}")]
 
 
@@ -201,7 +201,7 @@ def _services(state: Snapshot, *, all_of: bool) -> list[Line]:
             ]
             about = [_since(each.since_time_s, state.time_s), each.scheduling, each.version]
             rows.append((_STYLES[level], [name, word, *told, str(each.lost), *about]))
-    headings = ["service", "", "memory", "core", "made", "lost", "since", "scheduling", "version"]
+    headings = ["service", "", "memory", "core", "made", "lost", "seen since", "scheduling", "version"]
     return _table(headings, rows)
 
 
