@@ -21,8 +21,6 @@ QUEUED: Final = np.dtype(
         ("station", "<i8"),
     ]
 )
-#: A record that ended on the bus: the station that sent the frame, or that receives the report, and who gets it.
-EVENT: Final = np.dtype([("frame", FRAME), ("owner", "<i8"), ("audience", "<i8")])
 #: Receivers of a record: all other stations, the station that sent the frame, or both.
 OTHERS: Final = 1
 OWNER: Final = 2
@@ -36,11 +34,13 @@ Words = npt.NDArray[np.int64]
 #: Frames that wait: an array of QUEUED.
 Queued = npt.NDArray[np.void]
 
-# Compiled code reads records as rows of 64 bits.
-_FRAME: Final = FRAME.itemsize // 8
-_KEY, _SEQUENCE, _RELEASE, _DURATION, _STATION, _QUEUED = range(_FRAME, _FRAME + 6)
-_OWNER, _AUDIENCE, _EVENT = range(_FRAME, _FRAME + 3)
-_TIME, _EXPIRES, _HEAD = TIME_AT // 8, EXPIRES_AT // 8, CAN_ID_AT // 8
+#: A record that ended on the bus is a row of 64 bits: the frame, the number of the station that sent the frame or
+#: receives the report, and who gets the record.
+FRAME_WORDS: Final = FRAME.itemsize // 8
+TIME, EXPIRES, OWNED_BY, AUDIENCE, EVENT_WORDS = TIME_AT // 8, EXPIRES_AT // 8, *range(FRAME_WORDS, FRAME_WORDS + 3)
+# Compiled code reads waiting frames as such rows, too.
+_KEY, _SEQUENCE, _RELEASE, _DURATION, _STATION, _QUEUED = range(FRAME_WORDS, FRAME_WORDS + 6)
+_HEAD: Final = CAN_ID_AT // 8
 _FLAGS: Final = 8 * (FLAGS_AT - CAN_ID_AT)
 
 
@@ -73,7 +73,7 @@ def _queue(burst: Words, durations_ns: Words, now_ns: int, sequence: int, statio
     queued = np.empty((len(burst), _QUEUED), np.int64)
     for place in range(len(burst)):
         row, head = queued[place], burst[place, _HEAD]
-        row[:_FRAME] = burst[place]
+        row[:FRAME_WORDS] = burst[place]
         can_id, flags = head & 0xFFFFFFFF, head >> _FLAGS & 0xFF
         remote = np.int64(flags & REMOTE != 0)
         if flags & EXTENDED:
@@ -81,7 +81,7 @@ def _queue(burst: Words, durations_ns: Words, now_ns: int, sequence: int, statio
         else:
             row[_KEY] = (can_id & 0x7FF) << 21 | remote << 20
         row[_SEQUENCE], row[_STATION] = sequence + place, station
-        row[_RELEASE] = burst[place, _TIME] if burst[place, _TIME] > 0 else now_ns
+        row[_RELEASE] = burst[place, TIME] if burst[place, TIME] > 0 else now_ns
         row[_DURATION] = durations_ns[place]
     return queued
 
@@ -104,7 +104,7 @@ def carry(queued: Words, free_ns: int, until_ns: int, intermission_ns: int, send
     -------
     left : array of int64, shape (n', words of QUEUED)
         Frames that wait on.
-    ended : array of int64, shape (events, words of EVENT)
+    ended : array of int64, shape (events, EVENT_WORDS)
         Ascending by time.
     sent, busy_ns : int
         Number of frames among them that were sent, and their time on the bus.
@@ -113,7 +113,7 @@ def carry(queued: Words, free_ns: int, until_ns: int, intermission_ns: int, send
     winner : int
         Its place in `left`; -1 without one.
     """
-    ended, is_gone = np.empty((len(queued), _EVENT), np.int64), np.zeros(len(queued), np.bool_)
+    ended, is_gone = np.empty((len(queued), EVENT_WORDS), np.int64), np.zeros(len(queued), np.bool_)
     ready = [(queued[0, _KEY], queued[0, _SEQUENCE], 0) for _ in range(0)]
     count = sent = busy_ns = coming = start_ns = 0
     winner, expiry_ns = -1, PARKED_NS
@@ -123,8 +123,8 @@ def carry(queued: Words, free_ns: int, until_ns: int, intermission_ns: int, send
             break
         while coming < len(queued) and queued[coming, _RELEASE] <= start_ns:
             heappush(ready, (queued[coming, _KEY], queued[coming, _SEQUENCE], coming))
-            if queued[coming, _EXPIRES] > 0:
-                expiry_ns = min(expiry_ns, queued[coming, _EXPIRES])
+            if queued[coming, EXPIRES] > 0:
+                expiry_ns = min(expiry_ns, queued[coming, EXPIRES])
             coming += 1
         if start_ns > expiry_ns:  # however urgent the others are
             ready, expiry_ns, count = _expire(ready, queued, start_ns, is_gone, ended, count)
@@ -153,7 +153,7 @@ def _expire(  # noqa: PLR0917  compiled functions take no keywords
     kept, next_ns = ready[:0], PARKED_NS
     while ready:
         each = heappop(ready)
-        expires_ns = queued[each[2], _EXPIRES]
+        expires_ns = queued[each[2], EXPIRES]
         if 0 < expires_ns < start_ns:
             _end(queued[each[2]], start_ns, OWNER, ended[count])
             ended[count, _HEAD] |= DISCARDED << _FLAGS
@@ -168,8 +168,8 @@ def _expire(  # noqa: PLR0917  compiled functions take no keywords
 @njit(cache=True, nogil=True)
 def _end(queued: Words, time_ns: int, audience: int, event: Words) -> None:
     """Write the record of a frame; its latest start matters to the sender only."""
-    event[:_FRAME] = queued[:_FRAME]
-    event[_TIME], event[_EXPIRES], event[_OWNER], event[_AUDIENCE] = time_ns, 0, queued[_STATION], audience
+    event[:FRAME_WORDS] = queued[:FRAME_WORDS]
+    event[TIME], event[EXPIRES], event[OWNED_BY], event[AUDIENCE] = time_ns, 0, queued[_STATION], audience
 
 
 def clash_bits(same: Frames) -> int | None:

@@ -5,8 +5,21 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.arbitration import DISCARDED, EVENT, FOREVER_NS, OTHERS, OWNER
-from dbc.frame import Frames, frames
+from bus.arbitration import (
+    AUDIENCE,
+    DISCARDED,
+    EVENT_WORDS,
+    EXPIRES,
+    FOREVER_NS,
+    FRAME_WORDS,
+    OTHERS,
+    OWNED_BY,
+    OWNER,
+    TIME,
+    Words,
+    words,
+)
+from dbc.frame import FRAME, Frames, frames
 
 __all__ = ["DISCARDED", "OTHERS", "OWNER", "Events", "Outbox"]
 
@@ -46,19 +59,19 @@ class Outbox:
 
     def __init__(self) -> None:
         self.next_ns: int | None = None
-        self._posted: list[npt.NDArray[np.void]] = []
+        self._posted: list[Words] = []
 
-    def post(self, burst: Frames, time_ns: int | npt.NDArray[np.int64], owner: int, audience: int) -> None:
+    def post(self, burst: Frames, time_ns: int | Words, owner: int, audience: int) -> None:
         """Post frames of a station for `time_ns`."""
-        events = np.zeros(len(burst), EVENT)
-        events["frame"], events["owner"], events["audience"] = burst, owner, audience
-        events["frame"]["time_ns"], events["frame"]["expires_ns"] = time_ns, 0
-        self.add(events[np.argsort(events["frame"]["time_ns"], kind="stable")])
+        events = np.zeros((len(burst), EVENT_WORDS), np.int64)
+        events[:, :FRAME_WORDS] = words(burst)
+        events[:, TIME], events[:, EXPIRES], events[:, OWNED_BY], events[:, AUDIENCE] = time_ns, 0, owner, audience
+        self.add(events[np.argsort(events[:, TIME], kind="stable")])
 
-    def add(self, events: npt.NDArray[np.void]) -> None:
-        """Post an array of EVENT, ascending by time."""
+    def add(self, events: Words) -> None:
+        """Post records, shape (n, EVENT_WORDS), ascending by time."""
         if len(events):
-            first_ns = int(events["frame"]["time_ns"][0])
+            first_ns = int(events[0, TIME])
             self.next_ns = first_ns if self.next_ns is None else min(first_ns, self.next_ns)
             self._posted.append(events)
 
@@ -66,15 +79,13 @@ class Outbox:
         """Return all records posted up to `time_ns`."""
         if self.next_ns is None or self.next_ns > time_ns:
             return _NOTHING
-        events = self._posted[0] if len(self._posted) == 1 else np.concatenate(self._posted)
-        times_ns = events["frame"]["time_ns"]
-        if (times_ns[1:] < times_ns[:-1]).any():
-            events = events[np.argsort(times_ns, kind="stable")]
-            times_ns = events["frame"]["time_ns"]
-        end = int(np.searchsorted(times_ns, time_ns, "right"))
+        events = self._posted[0]
+        if len(self._posted) > 1:
+            events = np.concatenate(self._posted)
+            events = events[np.argsort(events[:, TIME], kind="stable")]
+        end = int(np.searchsorted(events[:, TIME], time_ns, "right"))
         self._posted = [events[end:]] if end < len(events) else []
-        self.next_ns = int(times_ns[end]) if end < len(events) else None
-        ended = events[:end]
-        return Events(
-            ended["frame"].copy(), ended["owner"], ended["audience"], bool((ended["audience"] == OTHERS | OWNER).all())
-        )
+        self.next_ns = int(events[end, TIME]) if end < len(events) else None
+        ended, audience = events[:end], events[:end, AUDIENCE]
+        burst: Frames = np.ndarray(end, FRAME, np.ascontiguousarray(ended[:, :FRAME_WORDS]))
+        return Events(burst, ended[:, OWNED_BY], audience, bool((audience == OTHERS | OWNER).all()))

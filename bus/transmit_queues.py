@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from bus.arbitration import (
     DISCARDED,
-    EVENT,
     OWNER,
     PARKED_NS,
     QUEUED,
@@ -75,9 +74,8 @@ class TransmitQueues:
         queued = queued_frames(burst, durations_ns, now_ns, self._sequence, station.number)
         self._sequence += len(burst)
         self.counts.accepted += len(burst)
-        idle = [port for port, controller in station.controllers.items() if not controller.takes_part]
-        if idle:
-            is_idle = np.isin(queued["frame"]["port"], idle)
+        if station.idle:
+            is_idle = np.isin(queued["frame"]["port"], station.idle)
             self.discard(queued[is_idle], queued["release_ns"][is_idle])
             queued = queued[~is_idle]
         if len(queued):
@@ -143,7 +141,7 @@ class TransmitQueues:
         left, ended, sent, busy_ns, free_ns, start_ns, place = carried
         if len(ended):
             self.near = np.ndarray(len(left), QUEUED, left)
-            self.outbox.add(np.ndarray(len(ended), EVENT, ended))
+            self.outbox.add(ended)
             self.counts.transmitted += sent
             self.counts.busy_ns += busy_ns
             self.counts.discarded += len(ended) - sent
@@ -157,7 +155,8 @@ class TransmitQueues:
             if end < len(part):
                 self._put_off(part[end:])
             self._is_ascending = not len(self.near)
-            self.near = np.concatenate((self.near, part[:end])) if len(self.near) else part[:end]
+            both = np.concatenate((words(self.near), words(part[:end])))  # of records NumPy would compare all fields
+            self.near = np.ndarray(len(both), QUEUED, both)
 
     def equals(self, winner: Winner) -> list[int]:
         """Return the places of the released frames with the identifier of a winner, in the order of submission."""

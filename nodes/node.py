@@ -4,7 +4,6 @@ import struct
 from typing import Final
 
 import canopen
-import numpy as np
 
 from dbc import indices as od
 from dbc.canopen import (
@@ -46,7 +45,7 @@ class SkinNode:
     Attributes
     ----------
     state : NmtState
-    health : array of int, shape (4,)
+    health : list of four ints
         SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels (2020h).
     objects : NodeObjects
         The dictionary as it is now.
@@ -59,7 +58,7 @@ class SkinNode:
     def __init__(self, contract: NodeContract, objects: NodeObjects, outbox: Outbox, hardware: Hardware) -> None:
         self.contract = contract
         self.state = NmtState.INITIALISING
-        self.health = np.zeros(4, np.int64)
+        self.health = [0] * 4
         self.tpdos: list[LiveTpdo] = []
         self.sync_counter = 0
         self._outbox = outbox
@@ -92,7 +91,7 @@ class SkinNode:
         self.objects.load(communication_only=communication_only)
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
-        self.health[:] = 0
+        self.health = [0] * 4
         self.refresh(now_s)
         self._send_state()
         self._enter(NmtState.PRE_OPERATIONAL)
@@ -172,7 +171,7 @@ class SkinNode:
     def expired(self, count: int) -> None:
         """Count and report PDOs that could not be sent within the window (1007h)."""
         self.health[2] += count
-        self.emcy.raised(Emergency.WINDOW_MISSED, int(self.health[2]))
+        self.emcy.raised(Emergency.WINDOW_MISSED, self.health[2])
 
     def _watch(self, now_s: float) -> None:
         before = bool(self.watched.lost)
@@ -211,4 +210,4 @@ class SkinNode:
     def _read_health(self, subindex: int) -> int | None:
         contract = self.contract
         self.health[3] = sum(self._hardware.saturated(contract.block + place) for place in range(contract.blocks))
-        return int(self.health[subindex - 1]) if subindex else None
+        return self.health[subindex - 1] if subindex else None
