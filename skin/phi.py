@@ -36,14 +36,13 @@ def fast_hadamard(blocks: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
     """
     size = blocks.shape[-1]
     lead = blocks.shape[:-1]
-    # Along the first axis each addition is of all blocks at once.
-    work, half = np.moveaxis(blocks, -1, 0), 1
+    work, half = blocks, 1
     while half < size:
-        pairs = work.reshape(size // (2 * half), 2, half, *lead)
-        first, second = pairs[:, 0], pairs[:, 1]
-        work = np.stack((first + second, first - second), axis=1)  # type: ignore[operator]  # any number dtype
+        pairs = work.reshape(*lead, size // (2 * half), 2, half)
+        first, second = pairs[..., 0, :], pairs[..., 1, :]
+        work = np.stack((first + second, first - second), axis=-2)  # type: ignore[operator]  # any number dtype
         half *= 2
-    return np.ascontiguousarray(np.moveaxis(work.reshape(size, *lead), 0, -1))
+    return work.reshape(blocks.shape)
 
 
 class Phi(ABC):
