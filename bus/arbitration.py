@@ -93,7 +93,7 @@ def carry(queued: Words, free_ns: int, until_ns: int, intermission_ns: int, send
     Parameters
     ----------
     queued : array of int64, shape (n, words of QUEUED)
-        Ascending by release.
+        Ascending by release; changed.
     free_ns : int
         When the bus is idle.
     sends : bool
@@ -111,7 +111,7 @@ def carry(queued: Words, free_ns: int, until_ns: int, intermission_ns: int, send
     free_ns, start_ns : int
         When the bus is idle again, and start of the winner that waits.
     winner : int
-        Its place in `left`; -1 without one.
+        Its place in `left`, below 0 without one.
     """
     ended, is_gone = np.empty((len(queued), EVENT_WORDS), np.int64), np.zeros(len(queued), np.bool_)
     ready = [(queued[0, _KEY], queued[0, _SEQUENCE], 0) for _ in range(0)]
@@ -139,10 +139,13 @@ def carry(queued: Words, free_ns: int, until_ns: int, intermission_ns: int, send
         count += 1
         sent += 1
         busy_ns += queued[place, _DURATION]
-    left = queued[~is_gone]
-    if winner >= 0:
-        winner -= int(np.count_nonzero(is_gone[:winner]))
-    return left, ended[:count], sent, busy_ns, free_ns, start_ns, winner
+    first = coming  # of those that wait on: what has not been released stays where it is
+    for place in range(coming - 1, -1, -1):
+        if not is_gone[place]:
+            first -= 1
+            queued[first] = queued[place]
+            winner = first if place == winner else winner
+    return queued[first:], ended[:count], sent, busy_ns, free_ns, start_ns, winner - first
 
 
 @njit(cache=True, nogil=True)

@@ -60,7 +60,7 @@ class Confinement:
         Parameters
         ----------
         senders : mapping of Controller to int
-            Place of the frame of each of its senders among the frames that are near.
+            Place of the frame of each of its senders among the queued frames.
         ended_ns, free_ns : int
             End of the error frame, and of the intermission behind it.
         unacknowledged : bool

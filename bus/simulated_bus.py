@@ -173,10 +173,10 @@ class SimulatedBus:
     def _transmit(self, winner: Winner) -> None:
         """Send the winner of an arbitration, with equal frames of others, or find the reason of its failure."""
         senders: dict[Controller, int] = {}
-        near = self._queues.near
+        queued = self._queues.queued
         for place in [winner.place, *self._queues.equals(winner)]:
-            station = self._stations.by_number[int(near["station"][place])]
-            senders.setdefault(station.controllers[int(near["frame"]["port"][place])], place)
+            station = self._stations.by_number[int(queued["station"][place])]
+            senders.setdefault(station.controllers[int(queued["frame"]["port"][place])], place)
         suspended_until_ns = next(iter(senders)).suspended_until_ns
         if suspended_until_ns > winner.start_ns:
             self._queues.delay(winner.place, suspended_until_ns)
@@ -185,7 +185,7 @@ class SimulatedBus:
 
     def _attempt(self, senders: dict[Controller, int], start: int) -> None:
         """Send a frame, or equal frames of several controllers, by their places, with possible faults."""
-        items, faults = self._queues.near[list(senders.values())], self._faults
+        items, faults = self._queues.queued[list(senders.values())], self._faults
         same, duration, sequence = items["frame"], int(items["duration_ns"][0]), int(items["sequence"][0])
         clash = clash_bits(same) if len(items) > 1 else None
         odds = faults.odds(next(iter(senders)).name, int(same["can_id"][0]))

@@ -1,6 +1,5 @@
 """The transmit queues of all controllers of a bus: frames from submission to the report to the sender."""
 
-from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from dbc.frame import Frames
 
 
 class Winner(NamedTuple):
-    """The frame that wins an arbitration: its place among the frames that are near, and its start."""
+    """The frame that wins an arbitration: its place among the queued frames, and its start."""
 
     place: int
     start_ns: int
@@ -34,25 +33,22 @@ class TransmitQueues:
 
     Attributes
     ----------
-    near : array of QUEUED
-        Frames that wait and were released by the end of the last `carry`, or before.
+    queued : array of QUEUED
     """
 
     def __init__(self) -> None:
-        self.near: Queued = np.zeros(0, QUEUED)
+        self.queued: Queued = np.zeros(0, QUEUED)
         self.outbox = Outbox()
         self.counts = Counts()
         self._sequence = 0
-        #: Frames that are released later, as they were submitted: first release, number, frames ascending by release.
-        self._later: list[tuple[int, int, Queued]] = []
         self._is_ascending = True
 
     # --- submission and return ---------------------------------------------------------------------------
 
     def waiting(self, station: Station) -> npt.NDArray[np.uint16]:
         """Return the ports of the waiting frames of a station."""
-        parts = self.near, *(part for *_, part in self._later)
-        return np.concatenate([part["frame"]["port"][part["station"] == station.number] for part in parts])
+        ports: npt.NDArray[np.uint16] = self.queued["frame"]["port"][self.queued["station"] == station.number]
+        return ports
 
     def fitting(self, station: Station, burst: Frames) -> int:
         """Count the leading frames that fit their transmit queues."""
@@ -78,12 +74,9 @@ class TransmitQueues:
             is_idle = np.isin(queued["frame"]["port"], station.idle)
             self.discard(queued[is_idle], queued["release_ns"][is_idle])
             queued = queued[~is_idle]
-        if len(queued):
-            queued = queued[np.argsort(queued["release_ns"], kind="stable")]
-            self._put_off(queued)
-
-    def _put_off(self, queued: Queued) -> None:
-        heappush(self._later, (int(queued["release_ns"][0]), int(queued["sequence"][0]), queued))
+        # Of records NumPy would compare all fields.
+        both = np.concatenate((words(self.queued), words(queued)))
+        self.queued, self._is_ascending = np.ndarray(len(both), QUEUED, both), False
 
     def discard(self, queued: Queued, time_ns: int | npt.NDArray[np.int64]) -> None:
         """Return frames to their sender unsent."""
@@ -95,17 +88,10 @@ class TransmitQueues:
 
     def withdraw(self, station: int, port: int | None = None) -> Queued:
         """Remove and return the waiting frames of a controller, or of a whole station, oldest first."""
-        kept, taken = [], []
-        for part in (self.near, *(part for *_, part in self._later)):
-            is_its = part["station"] == station
-            if port is not None:
-                is_its &= part["frame"]["port"] == port
-            taken.append(part[is_its])
-            kept.append(part[~is_its] if len(taken[-1]) else part)
-        self.near = kept[0]
-        self._later = [(int(each["release_ns"][0]), int(each["sequence"][0]), each) for each in kept[1:] if len(each)]
-        heapify(self._later)
-        found = np.concatenate(taken)
+        is_its = self.queued["station"] == station
+        if port is not None:
+            is_its &= self.queued["frame"]["port"] == port
+        found, self.queued = self.queued[is_its], self.queued[~is_its]
         return found[np.argsort(found["sequence"])]
 
     def take_back(self, station: Station) -> Frames:
@@ -118,69 +104,52 @@ class TransmitQueues:
 
     def next_start_ns(self, free_ns: int) -> int | None:
         """Return the start of the next frame on a bus that is idle from `free_ns`."""
-        releases_ns = [first_ns for first_ns, *_ in self._later[:1]]
-        if len(self.near):
-            releases_ns.append(int(self.near["release_ns"].min()))
-        first_ns = min(releases_ns, default=PARKED_NS)
+        first_ns = int(self.queued["release_ns"].min(initial=PARKED_NS))
         return None if first_ns == PARKED_NS else max(free_ns, first_ns)
 
     def waiting_ns(self, time_ns: int) -> int:
         """Return the time on the bus of the waiting frames that are released by `time_ns`."""
-        self._approach(time_ns)
-        return int(self.near["duration_ns"][self.near["release_ns"] <= time_ns].sum())
+        return int(self.queued["duration_ns"][self.queued["release_ns"] <= time_ns].sum())
 
     def carry(self, free_ns: int, until_ns: int, intermission_ns: int, *, sends: bool) -> tuple[int, Winner | None]:
         """Send frames, see `bus.arbitration.carry`; return when the bus is idle, and the winner that waits, if any."""
-        self._approach(until_ns)
-        if not len(self.near):
+        if not len(self.queued):
             return free_ns, None
         if not self._is_ascending:
-            self.near = self.near[np.argsort(self.near["release_ns"], kind="stable")]
+            self.queued = self.queued[np.argsort(self.queued["release_ns"], kind="stable")]
             self._is_ascending = True
-        carried = carry(words(self.near), free_ns, until_ns, intermission_ns, sends)
+        carried = carry(words(self.queued), free_ns, until_ns, intermission_ns, sends)
         left, ended, sent, busy_ns, free_ns, start_ns, place = carried
-        if len(ended):
-            self.near = np.ndarray(len(left), QUEUED, left)
-            self.outbox.add(ended)
-            self.counts.transmitted += sent
-            self.counts.busy_ns += busy_ns
-            self.counts.discarded += len(ended) - sent
+        self.queued = np.ndarray(len(left), QUEUED, left)
+        self.outbox.add(ended)
+        self.counts.transmitted += sent
+        self.counts.busy_ns += busy_ns
+        self.counts.discarded += len(ended) - sent
         return free_ns, None if place < 0 else Winner(place, start_ns)
-
-    def _approach(self, time_ns: int) -> None:
-        """Take the frames that are released by `time_ns` near."""
-        while self._later and self._later[0][0] <= time_ns:
-            *_, part = heappop(self._later)
-            end = int(np.searchsorted(part["release_ns"], time_ns, "right"))
-            if end < len(part):
-                self._put_off(part[end:])
-            self._is_ascending = not len(self.near)
-            both = np.concatenate((words(self.near), words(part[:end])))  # of records NumPy would compare all fields
-            self.near = np.ndarray(len(both), QUEUED, both)
 
     def equals(self, winner: Winner) -> list[int]:
         """Return the places of the released frames with the identifier of a winner, in the order of submission."""
-        near = self.near
-        is_equal = (near["key"] == near["key"][winner.place]) & (near["release_ns"] <= winner.start_ns)
+        queued = self.queued
+        is_equal = (queued["key"] == queued["key"][winner.place]) & (queued["release_ns"] <= winner.start_ns)
         places = np.flatnonzero(is_equal)
-        found: list[int] = places[np.argsort(near["sequence"][places])].tolist()
+        found: list[int] = places[np.argsort(queued["sequence"][places])].tolist()
         return found
 
     def delay(self, place: int, release_ns: int) -> None:
-        """Let a near frame take part in arbitration from `release_ns`; PARKED_NS: until `unpark`."""
-        self.near["release_ns"][place] = release_ns
+        """Let a frame take part in arbitration from `release_ns`; PARKED_NS: until `unpark`."""
+        self.queued["release_ns"][place] = release_ns
         self._is_ascending = False
 
     def unpark(self, release_ns: int) -> None:
         """Return all parked frames to arbitration from `release_ns`."""
-        is_parked = self.near["release_ns"] == PARKED_NS
+        is_parked = self.queued["release_ns"] == PARKED_NS
         if is_parked.any():
-            self.near["release_ns"][is_parked] = release_ns
+            self.queued["release_ns"][is_parked] = release_ns
             self._is_ascending = False
 
     def remove(self, places: list[int]) -> None:
-        """Remove near frames that were sent."""
-        self.near = np.delete(self.near, places)
+        """Remove frames that were sent."""
+        self.queued = np.delete(self.queued, places)
         self.counts.transmitted += len(places)
 
     def post_report(self, controller: Controller, time_ns: int, record: Frames) -> None:
