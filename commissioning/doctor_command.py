@@ -93,7 +93,10 @@ def doctor(
         print_json({"skin": name, "is_well": not is_wrong, "findings": found})
         return int(is_wrong)
     for each in found:
-        print(f"{each.level}: {each.text} [{each.code}]\n    {each.mend}")
+        since = ""
+        if each.since_time_s is not None:
+            since = time.strftime(" (since %F %T)", time.localtime(each.since_time_s))
+        print(f"{each.level}: {each.text}{since} [{each.code}]\n    {each.mend}")
     counts = {level: sum(each.level == level for each in found) for level in (ERROR, WARNING)}
     told = ", ".join(f"{count} {level}{'s' * (count != 1)}" for level, count in counts.items() if count)
     print(f"{name}: {told or 'nothing is wrong'}")
@@ -133,6 +136,9 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
             if look is not None:
                 snapshot = look.look()
                 found += [_graver(each) for each in snapshot.notices]
+                if has_gateway and "classifier" not in snapshot.services:
+                    text = "no labels: no classifier is there"
+                    found.append(Cause.SERVICE_ABSENT.notice(text, "classifier", level=INFO))
                 found += _loads(contract, told)
     name = skin.name if skin is not None else of.skin or "skin"
     return name, sorted([*found, *_host(snapshot)], key=lambda each: GRAVE.index(each.level))

@@ -218,9 +218,13 @@ class SteppedGathering:
         names = [f"node {node.node_id} on {self._contract.layout.bus[node.bus].name}" for node in nodes]
         return [f"{name} has other sums than the gateway: all are asked for" for name in names]
 
-    def frames_of(self, _place: int) -> tuple[int, int, int]:
+    def doubled(self) -> list[NodeContract]:
+        """Return no node: words with equal slots may differ, and be of one node."""
+        return []
+
+    def frames_of(self, _place: int) -> tuple[int, int]:
         """Return zeros: no frame is due at a time."""
-        return 0, 0, 0
+        return 0, 0
 
     def _bus(self, number: int, master: NmtMaster) -> _Bus:
         layout = self._contract.layout

@@ -29,6 +29,7 @@ from reconstructor.kernels.touched_regions import (
     give_owners,
     no_regions,
 )
+from shell.compiled import hold
 from skin.surface import GRID_NORMAL, Surface
 
 #: Taxels above `EDGE_N` newtons belong to a region. A contact begins when a taxel is above `ONSET_N`, and lasts while
@@ -117,6 +118,7 @@ class ContactTracker:
         self._first_m = _point(surface.positions_m[0])
         #: The owner of a taxel is 1 + the place of its contact in `_tracks`.
         self._regions = no_regions(surface, places)
+        self._held = hold(self._regions)
         self._tracks: list[_Track] = []
         self._lost: list[_Track] = []
         self._joined: list[_Track] = []
@@ -165,7 +167,7 @@ class ContactTracker:
 
     def _cut(self, image: npt.NDArray[np.floating]) -> list[_Part]:
         """Cut the image into parts, one for each pair of region and earlier contact."""
-        table = cut(image, EDGE_N, KEEP_N, self._regions)
+        table = cut(image, EDGE_N, KEEP_N, self._held)
         rows = zip(self._regions.pairs[: len(table)].tolist(), table.tolist(), strict=True)
         return [_Part([number], row[FEATURES:], *pair, *row[:FEATURES]) for number, (pair, row) in enumerate(rows, 1)]
 
@@ -282,7 +284,7 @@ class ContactTracker:
         for place, part in enumerate(parts, 1):
             owner_of_part[part.numbers] = place
         measured = _NO_FLAGS if valid is None else valid.ravel()
-        give_owners(owner_of_part, image, measured, _NO_FLAGS if doubtful is None else doubtful, self._regions, table)
+        give_owners(owner_of_part, image, measured, _NO_FLAGS if doubtful is None else doubtful, self._held, table)
         for part, (invalid_taxels, of_it_n) in zip(parts, table[1:].tolist(), strict=True):
             track = part.track or self._new()
             centre = part.centre

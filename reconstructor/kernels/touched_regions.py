@@ -106,16 +106,17 @@ def no_regions(surface: Surface, places: npt.NDArray[np.float64]) -> Regions:
 
 
 @njit(cache=True, nogil=True)
-def cut(image: Any, edge: float, least_peak: float, regions: Regions) -> Any:
+def cut(image: Any, edge: float, least_peak: float, held: Any) -> Any:
     """Cut an image, shape (rows, columns), into parts, one for each pair of region and owner; return their table.
 
     A region is neighbouring taxels above `edge`, one of them above `least_peak`. Each taxel of a region has the owner
     that it had, else that of the taxels uphill of it. Where two owners meet, the border between them follows the
     valley: taxels within `BORDER` of another owner are given anew. Owners spread from their other taxels to their
     neighbours, over the largest force first. A region without owner keeps 0.
-    `regions` come with the owners of the image before, and are set anew. The table has shape (parts, FEATURES + D).
+    `held` are `Regions` (`shell.compiled.hold`) with the owners of the image before, and set anew. The table has shape
+    (parts, FEATURES + D).
     """
-    regions = borrowed(regions)
+    regions = borrowed(held.value)
     force = image.ravel()
     _find_regions(force, edge, least_peak, regions)
     touched = regions.touched[: _list_touched(regions)]
@@ -127,7 +128,7 @@ def cut(image: Any, edge: float, least_peak: float, regions: Regions) -> Any:
 
 @njit(cache=True, nogil=True)
 def give_owners(  # noqa: PLR0917 - compiled
-    owner_of_part: Any, image: Any, measured: Any, doubtful: Any, regions: Regions, table: Any
+    owner_of_part: Any, image: Any, measured: Any, doubtful: Any, held: Any, table: Any
 ) -> None:
     """Give the taxels of each part its new owner.
 
@@ -139,7 +140,7 @@ def give_owners(  # noqa: PLR0917 - compiled
     table : array of float64, shape (1 + owners, 2)
         Set to the number of taxels of each owner that were not measured, and its force on doubtful taxels.
     """
-    regions = borrowed(regions)
+    regions = borrowed(held.value)
     force = image.ravel()
     table[:] = 0
     for taxel in regions.touched:
