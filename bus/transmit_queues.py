@@ -91,8 +91,9 @@ class TransmitQueues:
         is_its = self.queued["station"] == station
         if port is not None:
             is_its &= self.queued["frame"]["port"] == port
-        found, self.queued = self.queued[is_its], self.queued[~is_its]
-        return found[np.argsort(found["sequence"])]
+        found: Queued = self.queued[is_its]
+        self.queued = self.queued[~is_its]
+        return np.sort(found, order="sequence")
 
     def take_back(self, station: Station) -> Frames:
         """Remove and return all waiting frames of a station; nothing is reported to it."""
