@@ -168,7 +168,7 @@ class LogSink:
         import can
 
         suffix = path.suffix.lower()
-        self._log = _Database(path) if suffix == _DATABASE else can.Logger(path)
+        self._log: Any = _Database(path) if suffix == _DATABASE else can.Logger(path)
         self._is_named = suffix == _NAMED
         self._not_held = _NOT_HELD.get(suffix, 0)
         self._channels = [bus.name if self._is_named else str(number) for number, bus in enumerate(layout.bus)]
