@@ -8,12 +8,11 @@ from typing import Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
-from numba import int64, void
 
 from bus.error_frames import State
 from bus.intake import (
     DROPPED,
+    FD,
     HAS_FAILED,
     RETURNED,
     STATE,
@@ -22,10 +21,10 @@ from bus.intake import (
     arrived_in,
     new_intake,
     read_packets,
+    send_packet,
 )
 from bus.interface import InterfaceError
 from bus.protocol import (
-    MAX_FRAMES,
     MAX_PACKET,
     MAX_PORTS,
     Hello,
@@ -41,9 +40,7 @@ from bus.protocol import (
 )
 from bus.reconnecting import ReconnectingLink
 from canskin.errors import BusError, Stopped
-from dbc.frame import PORT_AT, Frames, frame_bytes, frames
-from dbc.frame_fields import ROWS, field
-from shell.compiled import njit
+from dbc.frame import Frames, frame_bytes, frames
 from shell.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
@@ -82,7 +79,7 @@ class ArbitratedLink(ReconnectingLink):
         self._own = new_intake(1)
         self._told = self._own.told[0]
         # Frames sent by port; those that the bus reported back are in `_told`, which another thread may write.
-        self._sent = np.zeros(MAX_PORTS, np.int64)
+        self._sent, self._outgoing = np.zeros(MAX_PORTS, np.int64), np.empty(MAX_PACKET, np.uint8)
         try:
             self._use(self._connect_within(wait_s, stop or StopSignal()))
         except BaseException:
@@ -123,32 +120,23 @@ class ArbitratedLink(ReconnectingLink):
             Number of accepted frames, counted from the first; the next frame did not fit.
         """
         check_frames(burst, fd=self.welcome.data_bitrate is not None)
-        burst = padded(burst)
+        rows, sent = frame_bytes(padded(burst)), 0
         with self._lock:
             connection = self._reopened()
-            if connection is None:
-                return 0
-            sent = 0
-            while sent < len(burst):
-                part = burst[sent : sent + MAX_FRAMES]
-                rows = frame_bytes(part)
-                count = int(_count_fitting(rows, self.welcome.queue_size - (self._sent - self._told[RETURNED:])))
-                if not count or not self._send(connection, pack(Kind.FRAMES, part[:count].tobytes(), count=count)):
+            while connection is not None and sent < len(rows):
+                count = send_packet(rows[sent:], self.welcome.queue_size, self._told, self._sent, self._outgoing)
+                if count < 0:
+                    self._lose(connection)
+                if count <= 0:
+                    self._is_full = True
                     break
-                _count_ports(rows[:count], self._sent)
                 sent += count
-            self._is_full |= sent < len(burst)
-            return sent
+        return sent
 
-    def _send(self, connection: socket.socket, packet: bytes) -> bool:
-        try:
-            connection.send(packet)
-        except BlockingIOError:
-            return False
-        except OSError:
-            self._lose(connection)
-            return False
-        return True
+    def close(self) -> None:
+        """Close the link."""
+        super().close()
+        self._told[FD] = -1
 
     def _use(self, connection: socket.socket) -> None:
         """Start to use a new socket."""
@@ -207,21 +195,3 @@ class ArbitratedLink(ReconnectingLink):
         if header.kind != Kind.WELCOME:
             raise InterfaceError(f"bus '{self.channel}' refuses: {payload.tobytes().decode(errors='replace')}")
         return unpack_json(payload, Welcome)
-
-
-@njit(int64(ROWS, int64[::1]), cache=True, nogil=True)
-def _count_fitting(rows: npt.NDArray[np.uint8], left: npt.NDArray[np.int64]) -> int:
-    """Count the leading frames that fit their transmit queues, which have `left` places by port; changes `left`."""
-    for place in range(len(rows)):
-        port = field(rows[place], PORT_AT, 2)
-        if left[port] <= 0:
-            return place
-        left[port] -= 1
-    return len(rows)
-
-
-@njit(void(ROWS, int64[::1]), cache=True, nogil=True)
-def _count_ports(rows: npt.NDArray[np.uint8], counts: npt.NDArray[np.int64]) -> None:
-    """Add frames to the counts of their ports."""
-    for place in range(len(rows)):
-        counts[field(rows[place], PORT_AT, 2) % MAX_PORTS] += 1

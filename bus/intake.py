@@ -11,12 +11,12 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from numba import carray, types
+from numba import carray, int64, types, uint8
 
 from bus.link import Link
-from bus.protocol import HEADER, MAGIC, MAX_FRAMES, MAX_PACKET, MAX_PORTS
+from bus.protocol import HEADER, MAGIC, MAX_FRAMES, MAX_PACKET, MAX_PORTS, Kind
 from dbc.frame import ECHO, FLAGS_AT, FRAME, PORT_AT, Frames
-from dbc.frame_fields import field
+from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
 
 #: What is told of a link: its descriptor (-1: none), whether it is read here, whether it was readable, the number of
@@ -32,9 +32,10 @@ Bytes = npt.NDArray[np.uint8]
 _MAGIC: Final = int.from_bytes(MAGIC, "little")
 _HEADER_BYTES, _FRAME_BYTES = HEADER.size, FRAME.itemsize
 #: Where `HEADER` has state, frames and dropped frames.
-_STATE_AT, _FRAMES_AT, _DROPPED_AT = 5, 6, 8
+_KIND_AT, _STATE_AT, _FRAMES_AT, _DROPPED_AT = 4, 5, 6, 8
+_FRAMES: Final = int(Kind.FRAMES)
 _POLLIN: Final = int(select.POLLIN)
-_DONTWAIT: Final = int(socket.MSG_DONTWAIT)
+_DONTWAIT: Final = int(socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
 _NOTHING: Final = (errno.EAGAIN, errno.EINTR)
 _SECOND_NS: Final = 1_000_000_000
 _CLOCK_MONOTONIC: Final = 1
@@ -42,6 +43,7 @@ _CLOCK_MONOTONIC: Final = 1
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _nanosleep = types.ExternalFunction("nanosleep", types.int32(types.intp, types.intp))
 _ppoll = types.ExternalFunction("ppoll", types.int32(types.intp, types.uint64, types.intp, types.intp))
+_send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.uint64, types.int32))
 _recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.uint64, types.int32))
 _errno = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
 
@@ -144,6 +146,45 @@ def read_packets(told: Integers, rows: Bytes, packet: Bytes) -> None:
                 told[RETURNED + field(row, PORT_AT, 2) % MAX_PORTS] += 1
         count += frames
     told[CAME] = count
+
+
+@njit(int64(ROWS, int64, int64[::1], int64[::1], uint8[::1]), cache=True, nogil=True)
+def send_packet(rows: Bytes, queue_size: int, told: Integers, sent: Integers, packet: Bytes) -> int:
+    """Send the leading frames for which the transmit queues have room, one packet at most; return how many were sent.
+
+    Parameters
+    ----------
+    sent : array of int64, shape (MAX_PORTS,)
+        Frames sent so far by port, of which those that are not in `told` are in a queue.
+
+    Returns
+    -------
+    int
+        0 if there is no room now, -1 if the socket has failed.
+    """
+    frames = 0
+    for place in range(min(len(rows), MAX_FRAMES)):
+        row, begin = rows[place], _HEADER_BYTES + place * _FRAME_BYTES
+        port = field(row, PORT_AT, 2)
+        if sent[port] - told[RETURNED + port] >= queue_size:
+            break
+        sent[port] += 1
+        for byte in range(_FRAME_BYTES):
+            packet[begin + byte] = row[byte]
+        frames += 1
+    if not frames:
+        return 0
+    size = _HEADER_BYTES + frames * _FRAME_BYTES
+    packet[:_HEADER_BYTES] = 0
+    for byte in range(4):
+        packet[byte] = _MAGIC >> 8 * byte & 0xFF
+    packet[_KIND_AT], packet[_FRAMES_AT], packet[_FRAMES_AT + 1] = _FRAMES, frames & 0xFF, frames >> 8
+    if _send(told[FD], packet.ctypes.data, size, _DONTWAIT) == size:
+        return frames
+    code = carray(_errno(), 1)[0]
+    for place in range(frames):
+        sent[field(rows[place], PORT_AT, 2)] -= 1
+    return 0 if code in _NOTHING else -1
 
 
 def arrived_in(told: Integers, rows: Bytes) -> Frames:
