@@ -73,7 +73,7 @@ def tare(
     """
     of = of or SkinOptions()
     of.require_right("ask", CALIBRATION.name)
-    skin = of.find()
+    skin = of.find("tare")
     require_boards(skin)
     named = region if region is None or region[:1].isalpha() else region.split(",")
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)

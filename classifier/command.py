@@ -61,7 +61,7 @@ def classify(
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
         raise InputError("--model contains what it was trained on: leave --stroke out")
-    skin = of.find(stop)
+    skin = of.find("classifier", stop)
     classified = classified_phi(skin)
     if model is not None:
         trained = load_model(model, skin, classified)

@@ -1,5 +1,7 @@
 """``skin doctor``: what is wrong with a skin, worst first, and what mends it."""
 
+import re
+import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -28,7 +30,7 @@ from health.feed import Watched
 from health.host_time import measure, settings
 from health.snapshot import Notice, Snapshot
 from shell.skin_options import SkinOptions, hub_layout, knows_layout
-from shell.terminal import Json, print_json
+from shell.terminal import Json, arguments, print_json
 from skin.layout import Bus, Layout, load_layout
 
 #: Time in which the hub is heard: services that send nothing are then known.
@@ -85,12 +87,16 @@ def doctor(
     if seconds is not None:
         raise InputError("--seconds is for 'skin doctor time'")
     name, found = examine(of, can or BusOptions())
+    found = [msgspec.structs.replace(each, mend=_typed(each.mend, of, can)) for each in found]
     is_wrong = any(each.level != INFO for each in found)
     if json:
         print_json({"skin": name, "is_well": not is_wrong, "findings": found})
         return int(is_wrong)
     for each in found:
-        print(f"{each.level}: {each.text} [{each.code}]\n    {each.mend}")
+        since = ""
+        if each.since_time_s is not None:
+            since = time.strftime(" (since %F %T)", time.localtime(each.since_time_s))
+        print(f"{each.level}: {each.text}{since} [{each.code}]\n    {each.mend}")
     counts = {level: sum(each.level == level for each in found) for level in (ERROR, WARNING)}
     told = ", ".join(f"{count} {level}{'s' * (count != 1)}" for level, count in counts.items() if count)
     print(f"{name}: {told or 'nothing is wrong'}")
@@ -130,6 +136,9 @@ def examine(of: SkinOptions, can: BusOptions) -> tuple[str, list[Notice]]:
             if look is not None:
                 snapshot = look.look()
                 found += [_graver(each) for each in snapshot.notices]
+                if has_gateway and "classifier" not in snapshot.services:
+                    text = "no labels: no classifier is there"
+                    found.append(Cause.SERVICE_ABSENT.notice(text, "classifier", level=INFO))
                 found += _loads(contract, told)
     name = skin.name if skin is not None else of.skin or "skin"
     return name, sorted([*found, *_host(snapshot)], key=lambda each: GRAVE.index(each.level))
@@ -160,6 +169,24 @@ def _find(of: SkinOptions) -> tuple[Layout | None, bool, list[Notice]]:
         if len(skins) != 1 or isinstance(error, DeniedError):
             raise
         return None, True, [Cause.GATEWAY_SILENT.notice(str(error), "gateway")]
+
+
+def _typed(mend: str, of: SkinOptions, can: BusOptions | None) -> str:
+    """Return what to do with the options of this command in the commands that need them, too."""
+    asking, at_buses = arguments(of), arguments(can) if can else []
+    beside, alone = [*asking, *at_buses], [*arguments(SkinOptions(of.layout)), *at_buses]
+    given = {
+        "reconstruct": asking,
+        "tare": asking,
+        "calibration show": asking,
+        "scan": beside,
+        "load": beside,
+        "node check": alone,
+        "commission": alone,
+        "gateway": alone,
+    }
+    verb = rf"'skin ({'|'.join(given)})([^']*)'"
+    return re.sub(verb, lambda found: f"'{shlex.join(['skin', *found[1].split(), *given[found[1]]])}{found[2]}'", mend)
 
 
 def _graver(notice: Notice) -> Notice:

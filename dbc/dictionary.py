@@ -33,6 +33,8 @@ SILENT_AFTER_S: Final = 1.5 * HEARTBEAT_MS / 1000
 REACTION_NS: Final = 100_000
 #: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC.
 WINDOW_RATIO: Final = 0.99
+#: The error "window missed" ends after this number of SYNCs without a miss: else a full bus carried its reports, too.
+WINDOWS_MET: Final = 16
 #: Entries of the pre-defined error field.
 ERRORS_KEPT: Final = 8
 #: Most heartbeats that a node can watch.

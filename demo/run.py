@@ -204,6 +204,8 @@ class Run:
         if self._port is not None:
             self._console.print(f"web page: http://127.0.0.1:{self._port}/?token={self._page_token}", soft_wrap=True)
         self._console.print(f"fabric: {endpoint}", highlight=False)
+        watch = ["skin", "monitor", "--connect", endpoint]  # skin doctor, skin list and others take it, too
+        self._console.print(f"to watch: {shlex.join(watch)}", highlight=False, soft_wrap=True)
         record = ["skin", "record", "run.mcap", "--connect", endpoint]
         self._console.print(
             f"to record: SKIN_BUS_DIR={self._folder} {shlex.join(record)}", highlight=False, soft_wrap=True

@@ -22,10 +22,11 @@ from shell.command import WRONG_INPUT
 from skin.layout import SHIPPED, Bus, Layout, layout_text, load_layout
 
 #: Services that open the CAN interfaces.
-ON_THE_BUSES: Final = ("gateway", "record")
+ON_THE_BUSES: Final = ("run", "gateway", "record")
 #: With keys: the role of each service, after which its folder of keys is named. The page may ask as a person does.
 ROLES: Final = {
     "hub": "hub",
+    "run": "run",
     "gateway": "gateway",
     "reconstruct": "reconstructor",
     "classify": "classifier",
@@ -100,6 +101,16 @@ Environment=SKIN_KEYS=/etc/canskin/keys/{role}
 HUB_START: Final = """\
 ExecStart=
 ExecStart={venv}/bin/skin hub $SKIN_hub
+"""
+
+RUN: Final = """\
+ExecStart=
+ExecStart={venv}/bin/skin run --layout ${{SKIN_LAYOUT}} gateway $SKIN_gateway + reconstruct $SKIN_reconstruct \
+  + classify $SKIN_classify + view $SKIN_view
+
+[Unit]
+# In place of a process for each.
+Conflicts=skin@gateway.service skin@reconstruct.service skin@classify.service skin@view.service
 """
 
 METRICS: Final = """\
@@ -187,7 +198,7 @@ def files(
     yield "etc/udev/rules.d/76-canskin.rules", rules(names, adapters)
     order = DROP_IN.format(devices=" ".join(f"sys-subsystem-net-devices-{name}.device" for name in names))
     for verb in ON_THE_BUSES:
-        own = RECORD.format(venv=venv) if verb == "record" else ""
+        own = {"run": RUN, "record": RECORD}.get(verb, "").format(venv=venv)
         yield f"etc/systemd/system/skin@{verb}.service.d/10-canskin.conf", order + own
     yield "etc/systemd/system/skin@metrics.service.d/10-canskin.conf", METRICS.format(venv=venv)
     for verb, role in ROLES.items() if has_keys else ():

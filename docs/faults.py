@@ -15,8 +15,9 @@ Named: when each cause is on the page, seconds after the fault has begun. Whole:
 the fault has ended; "always" where none became invalid. Calm: when nothing is named any more. `docs/reference.md` says
 what to do at each cause.
 
-What is not found: of two boards with one node-ID, when one is out of order and answers the gateway all the same, the
-sums of the other are taken for its own.
+Two boards with one node-ID: a node is out until ten seconds after its sums came twice, and differed, in two cycles of a
+second. What is not found: when one of the boards answers the gateway, and has sent no sums since the other came,
+nothing comes twice. Then the sums of the other are taken for its own.
 
 | fault | named | whole | calm |
 |---|---|---|---|

@@ -38,7 +38,7 @@ def monitor(path: Path, size: tuple[int, int]) -> None:
         of = SkinOptions(connect=endpoint)
         skin = of.find()
         with closing(of.join(skin, SERVICE)) as fabric:
-            watched = Watched(skin, fabric, TOPICS)
+            watched = Watched(skin, fabric, TOPICS, polled=True)
 
             def has_rates() -> bool:
                 told = [each.made_per_s for each in watched.snapshot().services.values()]

@@ -99,9 +99,9 @@ class Gathering(NamedTuple):
         See their classes.
     counts : array of int64, shape (6,)
         By `ACCEPTED` to `FOREIGN`, see `FrameCounts`.
-    late_of_node, missing_of_node, twice_of_node : arrays of int64, shape (nodes,)
-    heard : array of bool, shape (nodes,)
-        Nodes that sent a TPDO.
+    late_of_node, missing_of_node : arrays of int64, shape (nodes,)
+    heard, twice : arrays of bool, shape (nodes,)
+        Nodes that sent a TPDO, and those of which a frame came twice with other sums.
     expected : array of bool, shape (nodes,)
         Nodes that a cycle waits for.
     raw : array of int32, shape (m,)
@@ -114,8 +114,8 @@ class Gathering(NamedTuple):
     counts: Integers
     late_of_node: Integers
     missing_of_node: Integers
-    twice_of_node: Integers
     heard: Flags
+    twice: Flags
     expected: Flags
     raw: npt.NDArray[np.int32]
 
@@ -217,7 +217,7 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
             note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)
         if not keep_frame(slot, bus, row, data, state.cycles):
             kind = DUPLICATE
-            state.twice_of_node[node] += state.cycles.spoilt[slot, row] and not was_spoilt
+            state.twice[node] |= state.cycles.spoilt[slot, row] and not was_spoilt
         elif not answers.doubtful[row]:
             kind = ACCEPTED
     state.counts[kind] += 1
@@ -308,11 +308,10 @@ class Collector:
 
     Attributes
     ----------
-    late_of_node, missing_of_node, twice_of_node : arrays of int64, shape (nodes,)
-        `counts.late` and `counts.missing` of each node, and frames that came twice with other sums, in the order of
-        the contract.
-    heard : array of bool, shape (nodes,)
-        Nodes that sent a TPDO since the array was last cleared.
+    late_of_node, missing_of_node : arrays of int64, shape (nodes,)
+        `counts.late` and `counts.missing` of each node, in the order of the contract.
+    heard, twice : arrays of bool, shape (nodes,)
+        Nodes that sent a TPDO, and those of which a frame came twice with other sums, since the array was last cleared.
     expected : array of bool, shape (nodes,)
         Nodes that a cycle waits for; frames of other nodes are used when they are in time.
     """
@@ -336,8 +335,8 @@ class Collector:
         """Forget all frames."""
         contract, rows = self._contract, len(self._table.bus)
         self._times = SyncTimes(contract, self._early_echoes)
-        self.late_of_node, self.missing_of_node, self.twice_of_node = np.zeros((3, len(contract.nodes)), np.int64)
-        self.heard = np.zeros(len(contract.nodes), np.bool_)
+        self.late_of_node, self.missing_of_node = np.zeros((2, len(contract.nodes)), np.int64)
+        self.heard, self.twice = np.zeros((2, len(contract.nodes)), np.bool_)
         came, silent, doubtful = np.zeros((3, rows), np.int64)
         turn = self._table.turn.astype(np.int64)
         self._state = Gathering(
@@ -347,8 +346,8 @@ class Collector:
             counts=np.zeros(6, np.int64),
             late_of_node=self.late_of_node,
             missing_of_node=self.missing_of_node,
-            twice_of_node=self.twice_of_node,
             heard=self.heard,
+            twice=self.twice,
             expected=self.expected,
             raw=np.zeros(self._phi.shape[0], np.int32),
         )

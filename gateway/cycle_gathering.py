@@ -149,14 +149,15 @@ class CycleGathering:
         self.collector.heard[:] = False
         return []
 
-    def frames_of(self, place: int) -> tuple[int, int, int]:
-        """Return how many frames of the node at `place` were missing, late, and twice with other sums."""
-        collector = self.collector
-        return (
-            int(collector.missing_of_node[place]),
-            int(collector.late_of_node[place]),
-            int(collector.twice_of_node[place]),
-        )
+    def doubled(self) -> list[NodeContract]:
+        """Return the nodes of which a frame has come twice with other sums since the last call."""
+        nodes = [self._contract.nodes[place] for place in np.flatnonzero(self.collector.twice).tolist()]
+        self.collector.twice[:] = False
+        return nodes
+
+    def frames_of(self, place: int) -> tuple[int, int]:
+        """Return how many frames of the node at `place` were missing, and late."""
+        return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
 
     def _closes_s(self, sync: Sync) -> float:
         return sync.due_s + (1 + GRACE) * self._period_s

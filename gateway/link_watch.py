@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 from bus.link import State
+from canskin.messages import LINK_CODES, REFUSED_CODE
 
 #: A fault is over when the link has worked for this long: a controller between two states is one fault. The reason of a
 #: lost interface is told when it has stood for this long.
@@ -95,7 +96,8 @@ class LinkWatch:
 
     def _tell(self, fault: State, words: str) -> None:
         self._told, self._told_words = fault, words
-        self._say(f"{self._name} {words}")
+        code = LINK_CODES.get(fault.name.lower(), REFUSED_CODE)
+        self._say(f"{self._name} {words} [{code}]")
 
     def _end(self) -> None:
         if self._told is not self._fault:

@@ -196,7 +196,7 @@ class GatewayLoop:
             bus.master.tick(now_s)
             self._trust(bus)
             if bus.master.strangers.tick(now_s):
-                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
+                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words} [other-sync]")
         self.gathering.tick(now_s)
         if self._patience_s is None:
             self._patience_s = now_s + BOOT_PATIENCE_S
@@ -224,6 +224,9 @@ class GatewayLoop:
         sync_ns = round(due_s * 1e9)
         begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns)
         closed = self.gathering.begin(begun)
+        for node in self.gathering.doubled():
+            self.masters[node.bus].nodes[node.node_id].take_twice(now_s)
+            self._trust(self._buses[node.bus])
         sync = sync_frame(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
@@ -322,18 +325,19 @@ class GatewayLoop:
             self._complain(line)
         for bus in self._buses.values():
             for node_id, code in bus.master.emergencies:
-                self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
+                self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name} [node-emergency]")
             bus.master.emergencies.clear()
             strangers = bus.master.strangers
             if bus.other_syncs:
                 bus.other_syncs, bus.other_sync_s = 0, now_s
-                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}; {strangers.words}")
+                lost = self.gathering.disturbance
+                self._complain(f"another SYNC producer on {bus.name}: {lost}; {strangers.words} [other-sync]")
                 strangers.find_producers(now_s)
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]
         nodes, wall_s = bus.master.nodes.values(), time.time() - now_s
-        missing, late, twice = zip(*(self.gathering.frames_of(place) for place in bus.places), strict=True)
+        missing, late = zip(*(self.gathering.frames_of(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
             load_ratio=bus.load.take_ratio(now_s),
@@ -342,13 +346,13 @@ class GatewayLoop:
             nmt=bus.master.nmt.tobytes(),
             missing=list(missing),
             late=list(late),
-            twice=list(twice),
             emcy=bus.master.emcy,
             refused=bus.master.refused,
             link=max(state, bus.watch.state).name.lower(),
             trouble=bus.watch.trouble,
             overrun=dropped,
             faults=bus.master.faults,
+            out_s={node.contract.node_id: now_s - node.lost_s for node in nodes if node.lost_s is not None},
             answer_s=[node.answer_s.of(now_s) for node in nodes],
             heartbeat_s=[node.heartbeat_s.of(now_s) for node in nodes],
             emergencies=[

@@ -24,11 +24,16 @@ from gateway.proof import Known, Proof, prove
 from gateway.sdo import ATTEMPTS, Dialogue, SdoDialogue
 from gateway.spread import Spread
 
-#: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`.
+#: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`; of a node
+#: that is heard and answers no question, or boots meanwhile, after the last pause.
 PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0)
 LATER_S: Final = 60.0
 #: After this long in OPERATIONAL, the next loss begins with the shortest pause.
 STABLE_S: Final = 10.0
+#: A node is out for this long after frames have come twice with other sums, in cycles at most `TOGETHER_S` apart. After
+#: one such cycle it stays: boards may hear one SYNC twice after a bit error.
+TWICE_S: Final = 10.0
+TOGETHER_S: Final = 1.0
 #: On the bus, a heartbeat with the old state may come this much later than the NMT start.
 UNDER_WAY_NS: Final = 300_000_000
 #: Emergencies of a node that are kept.
@@ -70,6 +75,7 @@ class Event(Enum):
     LEFT = auto()  #: A heartbeat, or a command of another master, says that the node has left OPERATIONAL.
     RUNNING = auto()  #: A refused node is OPERATIONAL.
     LOST = auto()  #: The heartbeat is overdue.
+    TWICE = auto()  #: Another board sends sums with the node-ID.
     OUTDATED = auto()  #: The newest proof is too old.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
@@ -80,6 +86,7 @@ _FAULTS: Final = {
     Event.BOOTED: Fault.BOOTED,
     Event.LEFT: Fault.LEFT,
     Event.LOST: Fault.SILENT,
+    Event.TWICE: Fault.TWICE,
     Event.OUTDATED: Fault.UNPROVEN,
     Event.WRITTEN: Fault.CHANGED,
     Event.DIFFERENT: Fault.CHANGED,
@@ -147,6 +154,8 @@ class NodeMachine:
         When the newest successful proof read its oldest value.
     prove_at_s : float
         When the next proof of a node begins; infinite in use, where proofs come in turn.
+    twice_s, alone_s : float
+        When frames came twice with other sums; and when the node may be proven again after that.
     tries : int
         Dialogues since the node was last stable in OPERATIONAL.
     asked : bool
@@ -194,6 +203,8 @@ class NodeMachine:
     errand: SdoDialogue | None = None
     began_s: float = -np.inf
     prove_at_s: float = 0.0
+    twice_s: float = -np.inf
+    alone_s: float = -np.inf
     #: Transfers of the last proof.
     cost: int = 1
     tries: int = 0
@@ -308,6 +319,14 @@ class NodeMachine:
         elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             self.hint = ", reset by another master"
 
+    def take_twice(self, now_s: float) -> None:
+        """Take note that frames of a cycle have come twice with other sums: those of two boards."""
+        is_again, self.twice_s = now_s - self.twice_s <= TOGETHER_S, now_s
+        if is_again:
+            is_new, self.alone_s = now_s >= self.alone_s, now_s + TWICE_S
+            if is_new:
+                self._happen(Event.TWICE, now_s, "is there twice: its sums come twice, and differ")
+
     # What the master wants
 
     def tick(self, limit_s: float, now_s: float) -> None:
@@ -389,7 +408,7 @@ class NodeMachine:
         if found is None:
             return
         act, self.state = found
-        if act is NodeMachine._stop_using:
+        if act in {NodeMachine._stop_using, NodeMachine._tell}:
             is_away = self.contract.is_optional and event is Event.LOST
             self.loss = NodeFault(Fault.AWAY if is_away else _FAULTS[event], why)
         if self.state not in _CHECKED:
@@ -426,8 +445,12 @@ class NodeMachine:
         self.bus.use(self.contract, False)
         if self.lost_s is None:
             self.lost_s = now_s
-        self._log(f"{why} [{self.loss.code}]", now_s)
+        self._tell(now_s, why)
         self._pause(now_s, why)
+
+    def _tell(self, now_s: float, why: str) -> None:
+        """Tell why the sums of a node are not used."""
+        self._log(f"{why} [{self.loss.code}]", now_s)
 
     def _prove(self, now_s: float, _why: str) -> None:
         """Begin a proof."""
@@ -463,19 +486,23 @@ class NodeMachine:
         self._command(NmtCommand.ENTER_PRE_OPERATIONAL)
         self.nmt = NmtState.PRE_OPERATIONAL
 
-    def _pause(self, now_s: float, _why: str) -> None:
+    def _pause(self, now_s: float, _why: str, later_s: float = LATER_S) -> None:
         """Set the time of the next try."""
         is_over = self.tries >= len(PAUSES_S)
-        self.prove_at_s = now_s + (LATER_S if is_over else PAUSES_S[self.tries])
+        self.prove_at_s = now_s + (later_s if is_over else PAUSES_S[self.tries])
         if self.tries == len(PAUSES_S) and self.nmt != SILENT:
-            self._log(f"given up after {len(PAUSES_S)} tries: tried again every {LATER_S:g} s", now_s)
+            self._log(f"given up after {len(PAUSES_S)} tries: tried again every {later_s:g} s", now_s)
+
+    def _pause_briefly(self, now_s: float, why: str) -> None:
+        """Set the time of the next try: soon for a node that was not started, and is heard."""
+        self._pause(now_s, why, LATER_S if self.nmt == SILENT else PAUSES_S[-1])
 
     def _pause_if_lost(self, now_s: float, why: str) -> None:
         """Set the time of the next try: now for a node that was never in use."""
         if self.lost_s is None:
             self.prove_at_s = now_s
         else:
-            self._pause(now_s, why)
+            self._pause_briefly(now_s, why)
 
     def _try_now(self, now_s: float, _why: str) -> None:
         """Begin the tries anew."""
@@ -498,6 +525,7 @@ class NodeMachine:
     TRANSITIONS: ClassVar[dict[NodeState, dict[Event, tuple[_Action, NodeState]]]] = {
         NodeState.WAITING: {
             Event.DUE: (_try, NodeState.CHECKED),
+            Event.TWICE: (_tell, NodeState.WAITING),
             Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
             Event.HEARD: (_try_now, NodeState.WAITING),
             Event.WRITTEN: (_give_way, NodeState.WAITING),
@@ -505,7 +533,8 @@ class NodeMachine:
         NodeState.CHECKED: {
             Event.RIGHT: (_start_using, NodeState.IN_USE),
             Event.WRONG: (_refuse, NodeState.REFUSED),
-            Event.UNANSWERED: (_pause, NodeState.WAITING),
+            Event.UNANSWERED: (_pause_briefly, NodeState.WAITING),
+            Event.TWICE: (_tell, NodeState.WAITING),
             Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
             Event.HEARD: (_try_now, NodeState.CHECKED),
             Event.WRITTEN: (_give_way, NodeState.WAITING),
@@ -522,7 +551,7 @@ class NodeMachine:
         NodeState.REFUSED_CHECKED: {
             Event.RIGHT: (_start_using, NodeState.IN_USE),
             Event.WRONG: (_refuse, NodeState.REFUSED),
-            Event.UNANSWERED: (_pause, NodeState.REFUSED),
+            Event.UNANSWERED: (_pause_briefly, NodeState.REFUSED),
             Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
             Event.HEARD: (_try_now, NodeState.REFUSED_CHECKED),
             Event.RUNNING: (_halt, NodeState.REFUSED_CHECKED),
@@ -535,6 +564,7 @@ class NodeMachine:
             Event.BOOTED: (_stop_using, NodeState.WAITING),
             Event.LEFT: (_stop_using, NodeState.WAITING),
             Event.LOST: (_stop_using, NodeState.WAITING),
+            Event.TWICE: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
         },
@@ -545,6 +575,7 @@ class NodeMachine:
             Event.BOOTED: (_stop_using, NodeState.WAITING),
             Event.LEFT: (_stop_using, NodeState.CHECKED),
             Event.LOST: (_stop_using, NodeState.CHECKED),
+            Event.TWICE: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
             Event.BUSY: (_give_way, NodeState.IN_USE),

@@ -34,7 +34,7 @@ class ProofSchedule:
 
     def begin_due(self, now_s: float) -> None:
         """Begin the proofs that are due, as many as there may be; another master's download goes on undisturbed."""
-        tried = [node for node in self._nodes if now_s >= node.prove_at_s and node.dialogue is None]
+        tried = [node for node in self._nodes if now_s >= max(node.prove_at_s, node.alone_s) and node.dialogue is None]
         due = [node for node in tried if now_s >= node.foreign.free_s]
         if not due:
             return

@@ -26,6 +26,11 @@ from shell.compiled import Held, hold
 RATES_HZ: Final = (250.0, 10.0)
 RATE_MAX_HZ: Final = 1000.0
 RATE_MIN_HZ: Final = 1.0
+#: Boards near a touch send one after the other in each slot, and rest then: a measurement is made this long after the
+#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later.
+AFTER_NEWEST_S: Final = 0.0004
+SOONER_S: Final = 0.0002
+LATER_S: Final = 0.0001
 #: Longest time for which frames wait unread: a request for a missing group waits for its turn, too.
 REST_MAX_S: Final = 0.02
 
@@ -104,6 +109,8 @@ class SteppedGathering:
         #: Bound of the age of its sample, with the error of its time stamp.
         self._newest_error_ns = UNKNOWN_ERROR_NS
         self._published_s, self._has_news = now_s, False
+        #: When the next measurement comes; not before `_earliest_s`, so that no more come than are asked for.
+        self._next_s = self._earliest_s = now_s
         # What runs for each frame is compiled before the first comes.
         self.take(batch_of(frames(0), next(iter(masters)), self._table), Health(), now_s)
         self._judge(now_s)
@@ -117,7 +124,7 @@ class SteppedGathering:
     @property
     def due_s(self) -> float:
         """When the next measurement is due: soon after news, else at the least rate."""
-        return self._published_s + (self._shortest_s if self._has_news else self._longest_s)
+        return self._next_s if self._has_news else self._published_s + self._longest_s
 
     @property
     def may_sleep_until_s(self) -> float:
@@ -125,8 +132,9 @@ class SteppedGathering:
 
         While a node is not proven, frames are answers and the next question waits for them: then for `READ_S`.
         """
-        rest_s = min(self._shortest_s, REST_MAX_S) if self._is_proven.all() else READ_S
-        return self._published_s + rest_s
+        if not self._is_proven.all():
+            return self._published_s + READ_S
+        return min(self._next_s, self._published_s + REST_MAX_S)
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use a node's frames that come from now on if `proven`; else forget its sums at once."""
@@ -193,6 +201,9 @@ class SteppedGathering:
     def measure(self, now_s: float, wall_offset_ns: int) -> SteppedMeasurement:
         """Return a measurement, due or not."""
         self._published_s, self._has_news = now_s, False
+        self._earliest_s = max(self._earliest_s + self._shortest_s, now_s)
+        sooner_s = min(max(now_s - 1e-9 * self._newest_ns - AFTER_NEWEST_S, -LATER_S), SOONER_S)
+        self._next_s = max(self._earliest_s, now_s + self._shortest_s - sooner_s)
         self._judge(now_s)
         shown = self._shown
         self.published += 1
@@ -221,9 +232,13 @@ class SteppedGathering:
         names = [f"node {node.node_id} on {self._contract.layout.bus[node.bus].name}" for node in nodes]
         return [f"{name} has other sums than the gateway: all are asked for" for name in names]
 
-    def frames_of(self, _place: int) -> tuple[int, int, int]:
+    def doubled(self) -> list[NodeContract]:
+        """Return no node: words with equal slots may differ, and be of one node."""
+        return []
+
+    def frames_of(self, _place: int) -> tuple[int, int]:
         """Return zeros: no frame is due at a time."""
-        return 0, 0, 0
+        return 0, 0
 
     def _bus(self, number: int, master: NmtMaster) -> _Bus:
         layout = self._contract.layout

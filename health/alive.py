@@ -24,6 +24,7 @@ from canskin.messages import (
 )
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT, peers_at
+from health.causes import Cause
 from shell.service import say
 
 #: Longest wait for the hub and the service.
@@ -63,10 +64,10 @@ def trouble(service: str, endpoint: str = DEFAULT_ENDPOINT, skin: str | None = N
 
     skins = those_of(peers_at(endpoint, PATIENCE_S, lambda peers: bool(those_of(peers))))
     if not skins:
-        return f"{service} is not there"
+        return f"{service} is not there [{Cause.SERVICE_ABSENT.code}]"
     if service not in WORK or _works(service, endpoint, skins):
         return ""
-    return f"{service} is there, but nothing tells of measured blocks"
+    return f"{service} is there, but nothing tells of measured blocks [{Cause.SERVICE_SILENT.code}]"
 
 
 def _works(service: str, endpoint: str, skins: set[str]) -> bool:

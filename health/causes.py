@@ -35,6 +35,7 @@ class Cause(Enum):
     OTHER_SKIN = (WARNING, "the hub has other skins alone", "give all services of a skin the same --layout")
     STARTING = (INFO, "SYNC has not started", "wait: the gateway proves its nodes")
     SERVICE_GONE = (ERROR, "images, labels or sums of simulated boards stop", _RESTART)
+    SERVICE_ABSENT = (WARNING, "images or labels were never there", "start the service; its log says why it ended")
     SERVICE_SILENT = (ERROR, "images or labels stop", "restart the service: it has input and sends nothing")
     SERVICE_DIFFERS = (ERROR, "a service has another Φ or version", "give it the same --layout and version of canskin")
     SERVICE_DROPS = (WARNING, "a service misses messages", "give its host more processor time: 'skin doctor time'")

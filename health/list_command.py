@@ -73,7 +73,8 @@ def list_(*, connect: str = DEFAULT_ENDPOINT, seconds: float = 2.0, json: Json =
     skin list --connect tcp/10.0.0.5:7447 --json
     """
     require_above_zero("--seconds", seconds, SECONDS_MAX)
-    peers = sorted(peers_at(connect, PATIENCE_S, bool, "--connect"), key=lambda peer: (peer.skin, peer.service))
+    peers = peers_at(connect, PATIENCE_S, bool, "--connect", service="list")
+    peers.sort(key=lambda peer: (peer.skin, peer.service))
     if not peers:
         raise BusError(f"no service at {connect}: start 'skin gateway', or give another --connect")
     layouts = {name: _layout(name, peers, connect) for name in sorted({peer.skin for peer in peers})}

@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
-from canskin.messages import SILENT, BusState, Fault, GatewayStatus, NmtState, NodeFault
+from canskin.messages import LINK_CODES, REFUSED_CODE, SILENT, BusState, Fault, GatewayStatus, NmtState, NodeFault
 from health.causes import Cause
 from health.snapshot import DEAD_LINKS, NodeTrouble
 
@@ -18,9 +18,6 @@ NMT_WORDS: Final[dict[int, str]] = {
 }
 #: A node loses frames until none has been missing for this time, that of `health.state.SPAN_S`.
 LOSS_S: Final = 1.0
-#: Emergencies from this code on are of the device (CiA 301, 7.2.7.1): that it missed its window once, whose end no node
-#: tells. They explain frames that are missing now, and are no trouble without.
-DEVICE_EMCY: Final = 0xFF00
 #: A node is late whose answers or heartbeats take this part of the time that they have.
 LATE_RATIO: Final = 0.9
 #: By why the gateway does not use a node: words for several nodes.
@@ -35,13 +32,14 @@ _FAULTS: Final = {
     Fault.BOOTED: "booted again",
     Fault.CHANGED: "doubted",
     Fault.UNPROVEN: "not proven for too long",
+    Fault.TWICE: "there twice",
     Fault.STARTING: "not proven yet",
     Fault.FROZEN: "frozen",
 }
+#: Troubles beside which missing frames are counted.
+_OF_USED: Final = (Cause.NODE_LOSES, Cause.NODE_EMERGENCY)
 #: Of these nodes the NMT state tells more.
 _BY_STATE: Final = (Fault.LEFT, Fault.BOOTED, Fault.STARTING)
-#: By state of the gateway's controller.
-_LINKS: Final = {"lost": Cause.INTERFACE_LOST, "bus_off": Cause.BUS_OFF, "passive": Cause.ERROR_PASSIVE}
 
 
 class Trouble(NamedTuple):
@@ -56,23 +54,22 @@ class Trouble(NamedTuple):
         return NodeTrouble(node, since_time_s, self.evidence or self.word, self.cause.code, self.word)
 
 
-def _trouble(status: GatewayStatus, bus: BusState, place: int, *, twice: bool, loses: bool) -> Trouble | None:
+def _trouble(status: GatewayStatus, bus: BusState, place: int, *, loses: bool) -> Trouble | None:
     """Return what is wrong with the node at a place of a bus, the gravest alone; None if all is well."""
     if bus.link in DEAD_LINKS:
-        return Trouble(_LINKS[bus.link], "its bus is down")
+        return Trouble(Cause.of(LINK_CODES[bus.link]), "its bus is down")
     node, nmt = bus.nodes[place], bus.nmt[place]
     code = bus.emcy[place] if place < len(bus.emcy) else 0
     emergency = f"EMCY {code:04X}h" if code else ""
     if (fault := _fault(bus, node, nmt)) is not None:
         return trouble_of(fault, nmt, emergency)
-    if twice:
-        return Trouble(Cause.NODE_TWICE, "there twice: each sum comes twice, and differs")
-    if 0 < code < DEVICE_EMCY:
+    if loses:
+        words = "frames with sums are missing"
+        return Trouble(Cause.NODE_LOSES, words, ", ".join(filter(None, (words, emergency))))
+    if emergency:
         return Trouble(Cause.NODE_EMERGENCY, emergency)
-    if late := _late(status, bus, place):
-        return Trouble(Cause.NODE_LATE, "late", late)
-    words = "frames with sums are missing"
-    return Trouble(Cause.NODE_LOSES, words, ", ".join(filter(None, (words, emergency)))) if loses else None
+    late = _late(status, bus, place)
+    return Trouble(Cause.NODE_LATE, "late", late) if late else None
 
 
 def trouble_of(fault: NodeFault, nmt: int, emergency: str = "") -> Trouble:
@@ -108,9 +105,8 @@ def _late(status: GatewayStatus, bus: BusState, place: int) -> str:
 
 def link_cause(bus: BusState) -> Cause | None:
     """Return what is wrong with the gateway's link to a bus; None if nothing is."""
-    if bus.link in _LINKS:
-        return _LINKS[bus.link]
-    return Cause.SYNC_REFUSED if bus.trouble else None
+    is_well = bus.link not in LINK_CODES and not bus.trouble
+    return None if is_well else Cause.of(LINK_CODES.get(bus.link, REFUSED_CODE))
 
 
 class Troubles:
@@ -129,15 +125,13 @@ class Troubles:
         for bus in status.buses:
             known = before.get(bus.name, {})
             for place, node in enumerate(bus.nodes):
-                twice, loses = (
-                    self._grows(counted, (name, bus.name, str(node)), counts[place] if counts else 0, now_s)
-                    for name, counts in (("twice", bus.twice), ("missing", bus.missing))
-                )
-                trouble = _trouble(status, bus, place, twice=twice, loses=loses)
-                if trouble is not None and trouble.cause is not Cause.NODE_LOSES:  # frames are missing because of that
+                missing = bus.missing[place] if bus.missing else 0
+                loses = self._grows(counted, ("missing", bus.name, str(node)), missing, now_s)
+                trouble = _trouble(status, bus, place, loses=loses)
+                if trouble is not None and trouble.cause not in _OF_USED:  # frames are missing because of that
                     del self._counted["missing", bus.name, str(node)]
                 if trouble is not None:
-                    old, since_s = known.get(node, (trouble, now_s))
+                    old, since_s = known.get(node, (trouble, now_s - bus.out_s.get(node, 0.0)))
                     self._troubles[bus.name][node] = trouble, since_s if old[:2] == trouble[:2] else now_s
 
         words = ", ".join(

@@ -22,6 +22,11 @@ FULL_RATIO: Final = 0.97
 #: So many nodes at an end of a bus that fall silent within this time are a broken cable.
 BROKEN_AT_LEAST: Final = 2
 TOGETHER_S: Final = 2.0
+_SILENT: Final = (Cause.NODE_SILENT.code, Cause.NODE_ABSENT.code)
+#: Beside such nodes no cable is broken: all of them come back, one after another, or a board fills the bus.
+_NOT_BROKEN: Final = {Cause.NODE_BOOTED.code, Cause.NODE_STARTING.code, Cause.NODE_TWICE.code}
+#: What is wrong with a bus: the cause, what of the bus, the text, and the level, empty for that of the cause.
+_Told = tuple[Cause, str, str, str]
 #: A gateway that has sent no counters for this time, two in place of one, sends no measurements.
 MISSED_S: Final = 0.4
 
@@ -89,9 +94,11 @@ def _images(state: Snapshot) -> Iterator[Notice]:
     elif image is None:
         status = state.gateway
         is_starting = status is None or status.cycles < STARTED_S * status.sync_rate_hz
-        yield Cause.NO_IMAGE.notice(
-            "waiting for the first image", "reconstructor", level="" if is_starting else WARNING
-        )
+        if state.services and token is None and not is_starting:
+            yield Cause.SERVICE_ABSENT.notice("no images: no reconstructor is there", "reconstructor")
+        else:
+            level = "" if is_starting else WARNING
+            yield Cause.NO_IMAGE.notice("waiting for the first image", "reconstructor", level=level)
 
 
 def _why(state: Snapshot, token: Service | None) -> tuple[Cause, str]:
@@ -139,19 +146,30 @@ def _buses(state: Snapshot) -> Iterator[Notice]:
 
 
 def notices_of(buses: Sequence[BusView]) -> Iterator[Notice]:
-    """Return what is wrong with buses and their nodes."""
+    """Return what is wrong with buses and their nodes: one notice for what several buses have in common."""
     for text, bus in {bus.trouble: bus for bus in buses if bus.trouble}.items():
         names = [each.name for each in buses if each.trouble == text]
         named = ", ".join(names)
         cause = link_cause(bus) or Cause.SYNC_REFUSED
         yield cause.notice(f"{'buses' if len(names) > 1 else 'bus'} {named} {text}", named, level=bus.level)
+    groups: defaultdict[_Told, list[tuple[str, float | None]]] = defaultdict(list)
     for bus in buses:
-        if bus.other_sync:
-            yield Cause.OTHER_SYNC.notice(f"{bus.name}: another SYNC producer: {bus.other_sync}", bus.name)
-        if bus.load_ratio > FULL_RATIO and not bus.dead:
-            yield Cause.BUS_FULL.notice(f"{bus.name}: the bus is full, {100 * bus.load_ratio:.0f} %", bus.name)
-        if not bus.dead:
-            yield from _off_duty(bus)
+        for told, since_time_s in _of_bus(bus):
+            groups[told].append((bus.name, since_time_s))
+    for (cause, about, text, level), found in groups.items():
+        named = ", ".join(name for name, _ in found)
+        since_time_s = min((at_s for _, at_s in found if at_s is not None), default=None)
+        yield cause.notice(f"{named}: {text}", f"{named} {about}".strip(), since_time_s, level)
+
+
+def _of_bus(bus: BusView) -> Iterator[tuple[_Told, float | None]]:
+    """Return what is wrong with one bus and its nodes, and since when."""
+    if bus.other_sync:
+        yield (Cause.OTHER_SYNC, "", f"another SYNC producer: {bus.other_sync}", ""), None
+    if bus.load_ratio > FULL_RATIO and not bus.dead:
+        yield (Cause.BUS_FULL, "", f"the bus is full, {100 * bus.load_ratio:.0f} %", ""), None
+    if not bus.dead:
+        yield from _off_duty(bus)
 
 
 def _calibration(state: Snapshot) -> Iterator[Notice]:
@@ -203,8 +221,8 @@ def _thresholds(state: Snapshot) -> Iterator[Notice]:
             yield Cause.THRESHOLD.notice(text, each.name, each.over_since_time_s)
 
 
-def _off_duty(bus: BusView) -> Iterator[Notice]:
-    """Name the nodes of a bus that are not whole, one notice for each reason."""
+def _off_duty(bus: BusView) -> Iterator[tuple[_Told, float | None]]:
+    """Name the nodes of a bus that are not whole, together for each reason."""
     if (place := _broken_at(bus)) is not None:
         yield place
         return
@@ -214,18 +232,18 @@ def _off_duty(bus: BusView) -> Iterator[Notice]:
     for (code, word), found in groups.items():
         nodes = [each.node for each in found]
         named = ", ".join(map(str, nodes[:NAMED])) + (f" and {len(nodes) - NAMED} more" if len(nodes) > NAMED else "")
-        who = f"all {len(nodes)} nodes" if len(nodes) == len(bus.nodes) else f"node{'s' * (len(nodes) > 1)} {named}"
+        who = "all nodes" if len(nodes) == len(bus.nodes) else f"node{'s' * (len(nodes) > 1)} {named}"
         seen = sorted({each.why for each in found} - {word})
         evidence = f" ({seen[0]}{f'; and {len(seen) - 1} more' * (len(seen) > 1)})" if seen else ""
         since_time_s = min(each.since_time_s for each in found)
         cause = Cause.of(code)
         level = min(bus.level, cause.level, key=GRAVE.index)
-        yield cause.notice(f"{bus.name}: {who} {word}{evidence}", f"{bus.name} {word}", since_time_s, level)
+        yield (cause, word, f"{who} {word}{evidence}", level), since_time_s
 
 
-def _broken_at(bus: BusView) -> Notice | None:
-    """Tell that the cable is broken: all nodes from one place to an end fell silent together, the others did not."""
-    silent = {each.node: each.since_time_s for each in bus.nodes_why if each.code == Cause.NODE_SILENT.code}
+def _broken_at(bus: BusView) -> tuple[_Told, float | None] | None:
+    """Tell that the cable is broken: all nodes from one place to an end are silent since one time, the others not."""
+    silent = {each.node: each.since_time_s for each in bus.nodes_why if each.code in _SILENT}
     gone = [node in silent for node in bus.nodes]
     count = sum(gone)
     if count < BROKEN_AT_LEAST or count == len(gone) or max(silent.values()) - min(silent.values()) > TOGETHER_S:
@@ -233,13 +251,13 @@ def _broken_at(bus: BusView) -> Notice | None:
     place = len(gone) - count if all(gone[-count:]) else count if all(gone[:count]) else None
     if place is None:
         return None
-    others = {each.code for each in bus.nodes_why} & {Cause.NODE_BOOTED.code, Cause.NODE_STARTING.code}
-    if others:  # all of them come back, one after another
+    others = {each.code for each in bus.nodes_why} & _NOT_BROKEN
+    if others:
         return None
     where = f"between node {bus.nodes[place - 1]} and node {bus.nodes[place]}"
     named = ", ".join(map(str, silent))
-    text = f"{bus.name}: nodes {named} fell silent together: the cable is broken, or without supply, {where}"
-    return Cause.CABLE_BREAK.notice(text, f"{bus.name} {where}", min(silent.values()))
+    text = f"nodes {named} are silent since one time: the cable is broken, or without supply, {where}"
+    return (Cause.CABLE_BREAK, where, text, ""), min(silent.values())
 
 
 def _ignored(state: Snapshot) -> Iterator[Notice]:

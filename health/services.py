@@ -122,10 +122,8 @@ class Services:
 
     def _state(self, name: str, now_s: float) -> Service:
         """Return the state of a service; of several with one name, of one that cannot work with this skin."""
-        peers, service = (
-            self.peers(name),
-            msgspec.structs.replace(self._services[name], **self._sums.get(name, Counter())),
-        )
+        peers, sums = self.peers(name), self._sums.get(name, Counter())
+        service = msgspec.structs.replace(self._services[name], **sums)
         if not peers:
             return service
         peer = next((each for each in peers if self._own.difference(each)), peers[-1])

@@ -214,8 +214,8 @@ class NodeTrouble(msgspec.Struct, frozen=True):
     word: str
 
 
-class BusView(BusState, frozen=True, kw_only=True):
-    """One bus: the gateway's counters, and conclusions from them.
+class BusView(BusState, frozen=True, kw_only=True, eq=False):
+    """One bus: the gateway's counters, and conclusions from them; made once for each message of the gateway.
 
     Attributes
     ----------
@@ -322,6 +322,8 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
         The whole skin, then its regions; empty before the first image.
     other_skins : list of str
         Names of other skins whose services are on the hub.
+    ignored : int
+        Messages that did not fit the skin; 0 when none has come lately.
     """
 
     time_s: float

@@ -35,6 +35,7 @@ from health.notices import display_name, notices
 from health.patches import Patches
 from health.services import Services
 from health.snapshot import (
+    BusView,
     ContactsState,
     Figures,
     GatewayState,
@@ -63,6 +64,8 @@ HELD_S: Final = 0.1
 WAITING: Final = 512
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
 STATUS_FRESH_S: Final = 1.5
+#: Messages that do not fit are told until none has come for this time.
+MISFITS_S: Final = 3.0
 #: Most processes of nodes shown; the one with the oldest message is dropped first.
 PROCESSES: Final = 64
 LATENCY_SPAN_S: Final = 5.0
@@ -154,6 +157,7 @@ class ViewState:
 
     def __init__(self, layout: Layout, epoch_s: float = 0.0, service: str = "viewer") -> None:
         self.ignored = 0
+        self._ignored = 0, -inf
         self._layout, phi = layout, layout.phi()
         self._sending_blocks = int(phi.has_sums.sum())
         self._epoch_s, self._service_name = epoch_s, service
@@ -168,6 +172,7 @@ class ViewState:
             Label: self._label,
             GatewayStatus: self._gateway,
         }
+        self._buses: list[BusView] = []
         self._mark: Mark | None = None
         self._nodes: dict[str, Latest[NodesStatus]] = {}
         #: When the newest message came.
@@ -198,6 +203,7 @@ class ViewState:
                 self._mark = message
             case GatewayStatus():
                 self._troubles.take(message, now_s)
+                self._buses = bus_views(message, self._troubles.of(self._epoch_s))
             case NodesStatus():
                 self._nodes.pop(message.process, None)
                 self._nodes[message.process] = process = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
@@ -237,6 +243,8 @@ class ViewState:
         The PSNR of a single snapshot is that of its image, not the mean of the last second, which costs more.
         """
         self._choose(now_s)
+        if (ignored := self.ignored + undecodable) > self._ignored[0]:
+            self._ignored = ignored, now_s
         image, status = self._image.message, self._gateway.message
         truth = None if image is None else self._comparison.truth_of(image)
         if not is_single:
@@ -260,7 +268,7 @@ class ViewState:
             gateway=self._gateway.shown(
                 GatewayState,
                 now_s,
-                buses=bus_views(status, self._troubles.of(self._epoch_s)) if status else [],
+                buses=self._buses,
                 zero=calibration.zero_words if calibration else "",
                 late=late,
                 late_since_time_s=late_since_time_s,
@@ -269,7 +277,7 @@ class ViewState:
             services=self._service_states(now_s),
             other_skins=self._services.other_skins(),
             cut_off=self._is_cut_off(now_s),
-            ignored=self.ignored + undecodable,
+            ignored=ignored if now_s - self._ignored[1] < MISFITS_S else 0,
             notices=[],
         )
         pictures = Pictures(
@@ -347,10 +355,11 @@ class ViewState:
 
     def _figures(self, now_s: float, image_db: float | None, sensor_db: float | None) -> Figures:
         latency_s, low, image = self._latency_s.values(now_s), self._valid.values(now_s), self._image.message
+        usual_s, most_s = np.percentile(latency_s, (50, 99)).tolist() if latency_s else (None, None)
         return Figures(
             images_hz=self._rate.per_s(now_s),
-            latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
-            latency_p99_s=float(np.percentile(latency_s, 99)) if latency_s else None,
+            latency_p50_s=usual_s,
+            latency_p99_s=most_s,
             psnr_image_db=image_db,
             psnr_sensor_db=sensor_db,
             sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self._layout.taxels.adc_bits),

@@ -20,7 +20,7 @@ from dbc.canopen import (
     NmtState,
 )
 from dbc.contract import NodeContract
-from dbc.dictionary import HEARTBEATS_WATCHED
+from dbc.dictionary import HEARTBEATS_WATCHED, WINDOWS_MET
 from dbc.frame import Frames, one_frame
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
@@ -60,6 +60,7 @@ class SkinNode:
         self.contract = contract
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
+        self._met_at = WINDOWS_MET
         self.tpdos: list[LiveTpdo] = []
         self.sync_counter = 0
         self._outbox = outbox
@@ -172,7 +173,14 @@ class SkinNode:
     def expired(self, count: int) -> None:
         """Count and report PDOs that could not be sent within the window (1007h)."""
         self.health[2] += count
+        self._met_at = int(self.health[0]) + WINDOWS_MET
         self.emcy.raised(Emergency.WINDOW_MISSED, int(self.health[2]))
+
+    def count_sync(self) -> None:
+        """Count a SYNC, and report that windows are met again."""
+        self.health[0] += 1
+        if self.health[0] >= self._met_at:
+            self.emcy.gone(Emergency.WINDOW_MISSED)
 
     def _watch(self, now_s: float) -> None:
         before = bool(self.watched.lost)

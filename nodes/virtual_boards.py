@@ -198,7 +198,7 @@ class VirtualBoards:
     def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
         """Report a SYNC whose length does not agree with 1019h (CiA 301, 7.2.5.2: EMCY 8240h)."""
         for node in listening:
-            node.health[0] += 1
+            node.count_sync()
             if length == self._sync_length[node.contract.node_id]:
                 node.emcy.gone(Emergency.SYNC_LENGTH)
             else:

@@ -43,7 +43,7 @@ def reconstruct(
     stop, of = StopSignal().install(), of or SkinOptions()
     pulse = Pulse(stop)
     (solver or SolverOptions()).settings()  # its errors before any wait
-    skin = of.find(stop)
+    skin = of.find("reconstructor", stop)
     imager = make_imager(skin, solver, gains)
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
     patience.start()

@@ -25,12 +25,11 @@ from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
 from reconstructor.kernels.touched_regions import (
     FEATURES,
-    find_regions,
-    measure_parts,
-    neighbour_tables,
-    number_parts,
-    spread_owners,
+    cut,
+    give_owners,
+    no_regions,
 )
+from shell.compiled import hold
 from skin.surface import GRID_NORMAL, Surface
 
 #: Taxels above `EDGE_N` newtons belong to a region. A contact begins when a taxel is above `ONSET_N`, and lasts while
@@ -45,6 +44,7 @@ PEAK_RATIO: Final = 1.05
 #: How long a contact without a region is remembered, and how far from its last place it may come back, in pitches.
 MEMORY_S: Final = 0.05
 REACH: Final = 4.0
+_NO_FLAGS: Final = np.empty(0, np.bool_)
 #: Shorter means of normals are those of a touch all around, which has no direction.
 LEAST_NORMAL: Final = 0.01
 Point = tuple[float, float, float]
@@ -65,7 +65,7 @@ class _Track:
 
 @dataclass(eq=False)
 class _Part:
-    """The taxels of a region that belong to one contact: a row of `measure_parts`, with its region and its contact."""
+    """The taxels of a region that belong to one contact: a row of `cut`, with its region and its contact."""
 
     #: Its number, and those of the parts that have joined it.
     numbers: list[int]
@@ -111,17 +111,14 @@ class ContactTracker:
 
     def __init__(self, surface: Surface) -> None:
         self._surface, count = surface, len(surface.positions_m)
-        self._neighbours, self._around = neighbour_tables(surface)
         #: Of each taxel row and column, or position and normal where the skin is no grid.
-        self._places, self._reach = np.hstack((surface.positions_m, surface.normals)), REACH * surface.pitch_m
+        places, self._reach = np.hstack((surface.positions_m, surface.normals)), REACH * surface.pitch_m
         if surface.is_grid:
-            self._places, self._reach = np.indices(surface.shape).reshape(2, count).T.astype(np.float64, "C"), REACH
+            places, self._reach = np.indices(surface.shape).reshape(2, count).T.astype(np.float64, "C"), REACH
         self._first_m = _point(surface.positions_m[0])
-        #: Of each taxel, 1 + the place of its contact in `_tracks`; 0 without a contact.
-        self._owners = np.zeros(count, np.int32)
-        self._regions, self._parts, self._seeds = np.zeros((3, count), np.int32)
-        self._queue = np.empty(count, np.int32)
-        self._pairs = np.empty((count, 2), np.int32)
+        #: The owner of a taxel is 1 + the place of its contact in `_tracks`.
+        self._regions = no_regions(surface, places)
+        self._held = hold(self._regions)
         self._tracks: list[_Track] = []
         self._lost: list[_Track] = []
         self._joined: list[_Track] = []
@@ -154,7 +151,7 @@ class ContactTracker:
         if _is_over(self._now_ns, now_ns):
             self._lost += self._tracks
             self._tracks = []
-            self._owners[:] = 0
+            self._regions.owner[:] = 0
         self._now_ns, self._ended = now_ns, []
         parts = self._cut(image)
         self._assign(parts)
@@ -170,13 +167,8 @@ class ContactTracker:
 
     def _cut(self, image: npt.NDArray[np.floating]) -> list[_Part]:
         """Cut the image into parts, one for each pair of region and earlier contact."""
-        force = image.ravel()
-        find_regions(force, self._neighbours, EDGE_N, KEEP_N, self._regions, self._queue)
-        spread_owners(force, self._neighbours, self._around, self._regions, self._owners, self._seeds)
-        count = number_parts(self._regions, self._owners, self._parts, self._pairs)
-        table = np.empty((count, FEATURES + self._places.shape[1]))
-        measure_parts(image, self._neighbours, self._places, self._parts, table)
-        rows = zip(self._pairs[:count].tolist(), table.tolist(), strict=True)
+        table = cut(image, EDGE_N, KEEP_N, self._held)
+        rows = zip(self._regions.pairs[: len(table)].tolist(), table.tolist(), strict=True)
         return [_Part([number], row[FEATURES:], *pair, *row[:FEATURES]) for number, (pair, row) in enumerate(rows, 1)]
 
     def _assign(self, parts: list[_Part]) -> None:
@@ -284,20 +276,16 @@ class ContactTracker:
         count : int
             Number of parts before some were joined.
         """
-        owner_of_part = np.zeros(count + 1, np.int32)
+        contacts: list[Contact] = []
+        self._tracks = []
+        if not count:
+            return contacts
+        owner_of_part, table = np.zeros(count + 1, np.int32), np.empty((len(parts) + 1, 2))
         for place, part in enumerate(parts, 1):
             owner_of_part[part.numbers] = place
-        np.take(owner_of_part, self._parts, out=self._owners)
-        unmeasured = self._owners[~valid.ravel()] if valid is not None else np.zeros(0, np.int32)
-        invalid = np.bincount(unmeasured, minlength=len(parts) + 1)[1:].tolist()
-        doubtful_n = [0.0] * len(parts)
-        if doubtful is not None:
-            places = np.flatnonzero(doubtful)
-            owners, forces_n = self._owners[places], image.ravel()[places]
-            doubtful_n = np.bincount(owners, forces_n, len(parts) + 1)[1:].tolist()
-        contacts = []
-        self._tracks = []
-        for part, invalid_taxels, of_it_n in zip(parts, invalid, doubtful_n, strict=True):
+        measured = _NO_FLAGS if valid is None else valid.ravel()
+        give_owners(owner_of_part, image, measured, _NO_FLAGS if doubtful is None else doubtful, self._held, table)
+        for part, (invalid_taxels, of_it_n) in zip(parts, table[1:].tolist(), strict=True):
             track = part.track or self._new()
             centre = part.centre
             track.seen_ns, track.place = self._now_ns, centre[:3]
@@ -317,7 +305,7 @@ class ContactTracker:
                     left=int(part.left),
                     right=int(part.right),
                     onset_mono_ns=track.onset_ns,
-                    invalid_taxels=invalid_taxels,
+                    invalid_taxels=int(invalid_taxels),
                     doubtful_since_mono_ns=track.doubtful_ns,
                     position_m=position_m,
                     normal=normal,

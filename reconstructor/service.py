@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,8 @@ from reconstructor.imaging import Imager
 from shell.pulse import Beat, unheard
 from shell.service import StopSignal, request_real_time, yield_processor
 from skin.layout import Layout
-from skin.measured_sums import MeasurementReader, used_blocks
+from skin.measured_sums import MeasurementReader
+from skin.phi import Phi
 
 #: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1
@@ -66,6 +68,7 @@ class ReconstructorService:
         self._reader: MeasurementReader[Any] = MeasurementReader(self._phi, "reconstructor", imager.decode)
         self._tracker = ContactTracker(layout.taxels.surface)
         self._is_measured = ~layout.taxels.is_masked
+        self._measured_of = lru_cache(maxsize=1)(self._measured)
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
@@ -100,7 +103,7 @@ class ReconstructorService:
             sampled_error_ns=measurement.sampled_error_ns,
             published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
-            valid=used_blocks(measurement, self._phi).tobytes(),
+            valid=sums.valid.tobytes(),
             valid_sums=int(np.count_nonzero(used_sums)),
             solve_s=solve_s,
             number=self.images,
@@ -113,9 +116,7 @@ class ReconstructorService:
         """Find the contacts of an image; an image without any valid sum says nothing of them."""
         started_s = self._timer()
         is_blind = message.valid_sums == 0
-        phi = self._phi.of_cycle(message.cycle)
-        valid = phi.valid_taxels(np.frombuffer(message.valid, np.bool_)) & self._is_measured
-        valid = valid.reshape(image.shape)
+        valid = self._measured_of(self._phi.of_cycle(message.cycle), message.valid).reshape(image.shape)
         doubtful = doubtful_taxels(message, image.size)
         found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid, doubtful)
         return Contacts(
@@ -128,3 +129,7 @@ class ReconstructorService:
             find_s=self._timer() - started_s,
             blind=is_blind,
         )
+
+    def _measured(self, phi: Phi, valid: bytes) -> npt.NDArray[np.bool_]:
+        """Return the taxels, masked ones left out, that valid blocks measured."""
+        return phi.valid_taxels(np.frombuffer(valid, np.bool_)) & self._is_measured

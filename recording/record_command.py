@@ -85,7 +85,7 @@ def record(
     name = None if label is None else check_label(label.strip())
     _check_kept(out, "--label", name is not None)
     _check_kept(out, "--no-frames", not frames)
-    skin = of.find(stop)
+    skin = of.find("recorder", stop)
     if of.layout is not None:
         of.compare(skin)
     check_format(out, len(skin.bus))

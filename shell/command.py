@@ -31,6 +31,7 @@ TERMINATED: Final = 143
 #: Verb, or group and verb: module and function. Strings, because this folder imports no other folder.
 VERBS: Final = {
     "demo": "demo.command:demo",
+    "run": "shell.run_command:run",
     "bus": "bus.command:bus",
     "nodes": "nodes.command:nodes",
     "gateway": "gateway.command:gateway",

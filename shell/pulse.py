@@ -1,6 +1,7 @@
 """The signs of life of a service: what it tells its watchdog, and the other services."""
 
 import os
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,6 +12,7 @@ from canskin.errors import DeniedError
 from canskin.fabric import Fabric
 from canskin.messages import SERVICES, ServiceStatus
 from canskin.session import Stop
+from shell.service import ServiceThread
 from shell.watchdog import WATCHDOG
 
 #: Time between two signs.
@@ -66,12 +68,13 @@ class Pulse:
 
 
 def _status(fabric: Fabric, made: int) -> ServiceStatus:
+    is_thread = isinstance(threading.current_thread(), ServiceThread)
     return ServiceStatus(
         time_ns=time.time_ns(),
         service=fabric.service,
         instance=fabric.instance,
         memory_bytes=_memory_bytes(),
-        processor_s=time.process_time(),
+        processor_s=time.thread_time() if is_thread else time.process_time(),
         missed=sum(fabric.missed.counts().values()),
         overruns=fabric.overruns,
         made=made,

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from canskin.errors import LOG, InputError, reasoned
+from canskin.errors import LOG, InputError, Stopped, reasoned
 from canskin.peers import ORDINARY, REAL_TIME
 from canskin.session import HIGHEST_PORT
 from shell.watchdog import WATCHDOG
@@ -37,6 +37,8 @@ LOOK_S: Final = 0.02
 PAGE_TOKEN: Final = "SKIN_PAGE_TOKEN"  # noqa: S105 - its name
 #: Connections that may wait at a socket.
 _BACKLOG: Final = 64
+#: Who is told what scheduling this process has: each of its services.
+_TOLD: Final[list[Callable[[str], None]]] = []
 _IS_LINUX: Final = sys.platform.startswith("linux")
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
@@ -58,9 +60,17 @@ class StopSignal:
 
     def __init__(self) -> None:
         self._is_set = False
+        self._tell: Callable[[], object] = lambda: None
 
-    def install(self) -> "StopSignal":
-        """Catch SIGINT and SIGTERM from now on; call it in the main thread."""
+    def install(self, tell: Callable[[], object] = lambda: None) -> "StopSignal":
+        """Catch SIGINT and SIGTERM from now on, in the main thread; in a `ServiceThread`, return that of the thread.
+
+        `tell` is called by each signal; it must wait for no lock.
+        """
+        thread = threading.current_thread()
+        if isinstance(thread, ServiceThread):
+            return thread.stop
+        self._tell = tell
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._caught)
         _end_with_parent()
@@ -84,6 +94,44 @@ class StopSignal:
     def _caught(self, _number: int, _frame: FrameType | None) -> None:
         self._is_set = True
         WATCHDOG.end()
+        self._tell()
+
+
+class ServiceThread(threading.Thread):
+    """A service beside others of its process.
+
+    Parameters
+    ----------
+    name : str
+    serve : callable
+        Returns after `stop` is set.
+    ended : callable
+        Called when `serve` has returned, or raised.
+
+    Attributes
+    ----------
+    stop : StopSignal
+        What `StopSignal.install` returns in this thread.
+    error : BaseException or None
+        What `serve` has raised.
+    """
+
+    def __init__(self, name: str, serve: Callable[[], object], ended: Callable[[], object]) -> None:
+        super().__init__(name=name)
+        self.stop = StopSignal()
+        self.error: BaseException | None = None
+        self._serve, self._ended = serve, ended
+
+    def run(self) -> None:
+        """Serve."""
+        try:
+            self._serve()
+        except Stopped:
+            pass
+        except BaseException as error:  # noqa: BLE001 - the main thread raises it
+            self.error = error
+        finally:
+            self._ended()
 
 
 class RateLimitedLog:
@@ -180,12 +228,13 @@ def request_real_time(service: str, tell: Callable[[str], None] | None = None) -
     else:
         say(service, f"scheduling: ordinary; {why}")
     tell(obtained)
-    if obtained == REAL_TIME and wanted is Priority.AUTO:
-        threading.Thread(target=_watch, args=(service, tell), name="share of real time", daemon=True).start()
+    _TOLD.append(tell)
+    if obtained == REAL_TIME and wanted is Priority.AUTO and len(_TOLD) == 1:
+        threading.Thread(target=_watch, args=(service,), name="share of real time", daemon=True).start()
     return obtained
 
 
-def _watch(service: str, tell: Callable[[str], None]) -> None:
+def _watch(service: str) -> None:
     """Go back to ordinary scheduling while this is the program that takes most, and all take too much."""
     cores, before, before_s = os.cpu_count() or 1, _real_time_s(), time.monotonic()
     while True:
@@ -198,7 +247,8 @@ def _watch(service: str, tell: Callable[[str], None]) -> None:
                 f"scheduling: ordinary, because programs with real time took {sum(shares.values()) / cores:.0%} of"
                 f" {cores} cores, expected at most {REAL_TIME_RATIO:.0%}; --priority realtime keeps real time",
             )
-            tell(ORDINARY)
+            for tell in _TOLD:
+                tell(ORDINARY)
             return
         before, before_s = taken, now_s
 
@@ -283,8 +333,11 @@ def ordinary_scheduling() -> Iterator[None]:
 
 
 def yield_processor() -> str:
-    """Let other services go first, for a loop whose results count less than theirs; return as `request_real_time`."""
-    if _IS_LINUX:
+    """Let other services go first, for a loop whose results count less than theirs; return as `request_real_time`.
+
+    Not those of the same process: they would wait for the interpreter's lock that a thread without processor holds.
+    """
+    if _IS_LINUX and not isinstance(threading.current_thread(), ServiceThread):
         os.nice(NICENESS)
     return ORDINARY
 

@@ -60,11 +60,15 @@ class SkinOptions:
         """The hub's endpoint."""
         return self.connect or DEFAULT_ENDPOINT
 
-    def find(self, stop: Stop | None = None, recording: Path | None = None, *, needs_hub: bool = True) -> Layout:
+    def find(
+        self, service: str = "skin", stop: Stop | None = None, recording: Path | None = None, *, needs_hub: bool = True
+    ) -> Layout:
         """Return the layout.
 
         Parameters
         ----------
+        service : str
+            Name in the log, where the hub is waited for.
         stop : Stop, optional
             Of a service, which has more patience; if set meanwhile, `canskin.errors.Stopped` is raised.
         recording : pathlib.Path, optional
@@ -83,7 +87,7 @@ class SkinOptions:
         if given is None and is_recording(recording):
             given = recording
         if given is None and (needs_hub or self.connect or self.skin or (not recording and is_told(self.endpoint))):
-            return hub_layout(self.endpoint, self.skin, stop, patience_s=PATIENCE_S)
+            return hub_layout(self.endpoint, self.skin, stop, patience_s=PATIENCE_S, service=service)
         layout = load_layout(given)
         if self.skin not in {None, layout.name}:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
@@ -206,10 +210,17 @@ def join(
     )
 
 
-def hub_layout(endpoint: str, skin: str | None, stop: Stop | None = None, *, patience_s: float = PATIENCE_S) -> Layout:
+def hub_layout(
+    endpoint: str,
+    skin: str | None,
+    stop: Stop | None = None,
+    *,
+    patience_s: float = PATIENCE_S,
+    service: str = "skin",
+) -> Layout:
     """Return the layout of a skin on a hub; see `SkinOptions.find`. Each step waits for `patience_s` at most."""
     find_s = patience_s if stop is None else SERVICE_PATIENCE_S
-    peer = find_skin(endpoint, skin, find_s, knows_layout, words=_WORDS, stop=stop)[0]
+    peer = find_skin(endpoint, skin, find_s, knows_layout, words=_WORDS._replace(service=service), stop=stop)[0]
     with closing(Fabric(peer.skin, "", endpoint, stop=stop, patience_s=patience_s)) as fabric:
         return _told(fabric, peer, endpoint, patience_s)
 

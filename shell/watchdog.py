@@ -7,6 +7,7 @@ A unit of systemd names its socket and a limit (sd_notify(3), sd_watchdog_enable
 import faulthandler
 import os
 import socket
+import threading
 from contextlib import suppress
 from typing import Final
 
@@ -24,29 +25,42 @@ class Watchdog:
     ----------
     limit_s : float
         Longest time between two signs of life; 0 without a limit.
+    services : set of str
+        Names of threads, each of which must give a sign of life for one of the process; empty: any thread does.
     """
 
     def __init__(self) -> None:
         self.limit_s = 0.0
+        self.services = set[str]()
+        self._alive = set[str]()
         self._socket = ""
         self._is_ready = False
 
     def begin(self) -> None:
         """Take what the supervisor gives this process from the environment: processes that it starts get none of it.
 
+        Further calls change nothing.
+
         Raises
         ------
         InputError
             If the limit is no number of microseconds.
         """
-        self._socket = os.environ.pop("NOTIFY_SOCKET", "")
-        limit_us, own = os.environ.pop("WATCHDOG_USEC", "0"), str(os.getpid())
-        if not limit_us.isdecimal():
+        self._socket = os.environ.pop("NOTIFY_SOCKET", self._socket)
+        limit_us, own = os.environ.pop("WATCHDOG_USEC", None), str(os.getpid())
+        if limit_us is not None and not limit_us.isdecimal():
             raise InputError(f"WATCHDOG_USEC={limit_us}: expected microseconds, 0 for no watchdog")
-        self.limit_s = int(limit_us) / 1e6 if os.environ.pop("WATCHDOG_PID", own) == own else 0.0
+        if os.environ.pop("WATCHDOG_PID", own) == own and limit_us is not None:
+            self.limit_s = int(limit_us) / 1e6
 
     def feed(self) -> None:
-        """Give a sign of life; the first one says that the service is ready, and begins the watch."""
+        """Give a sign of life of this thread; the process's first one says that it is ready, and begins the watch."""
+        self._alive.add(threading.current_thread().name)
+        if self._alive >= self.services:
+            self._alive.clear()
+            self._feed()
+
+    def _feed(self) -> None:
         if self._socket:
             self._tell("WATCHDOG=1" if self._is_ready else "READY=1")
         self._is_ready = True
@@ -59,7 +73,7 @@ class Watchdog:
     def compiles(self) -> None:
         """Give a sign of life from the middle of a turn, which lasts because kernels are compiled."""
         if self._is_ready:
-            self.feed()
+            self._feed()
 
     def end(self) -> None:
         """End the watch: the service stops, and its supervisor waits as long as it likes."""

@@ -106,7 +106,7 @@ PROGRAMS: Final[dict[str, Callable[[Sequence[str]], bool]]] = {
     **dict.fromkeys(
         ("arm-none-eabi-objcopy", "can_logger", "candump", "cc", "export", "git", "ip", "lerobot-record"), anything
     ),
-    **dict.fromkeys(("printf", "ros2", "sleep", "skin-alive"), anything),
+    **dict.fromkeys(("printf", "ros2", "sleep", "skin-alive", "systemctl"), anything),
 }
 
 

@@ -651,3 +651,4 @@ def skip_pauses(world: World) -> None:
             if not each.in_use:
                 assert each.prove_at_s <= world.now_s + LATER_S
                 each.prove_at_s, each.tries = min(each.prove_at_s, world.now_s), 0
+                each.alone_s = min(each.alone_s, world.now_s)

@@ -8,19 +8,19 @@ import logging
 import math
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from itertools import count
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 import zenoh
 
 from canskin.errors import UNDECODABLE, BusError, DeniedError, tell
 from canskin.keys import Keys, environment_keys
-from canskin.messages import Topic
+from canskin.messages import IMAGE, MEASUREMENT, Topic
 from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
 from canskin.roles import Action, refusal
@@ -39,6 +39,10 @@ FRESH_S: Final = 1.0
 WAKE_S: Final = 0.1
 #: Least number of samples that zenoh keeps for the reader of a mailbox, who counts those that are missing.
 _KEPT_MIN: Final = 64
+#: Messages that pass between services of one process as they are: nobody can change them, their arrays are bytes.
+_HANDED_OVER: Final = (MEASUREMENT, IMAGE)
+#: Most messages of this process that wait for a reader with a callback.
+_WAITING_MAX: Final = 256
 #: Most publishers and topics whose losses are counted, and most differences of other services that are logged.
 _PUBLISHERS_MAX: Final = 1000
 _DIFFERENCES_MAX: Final = 100
@@ -60,11 +64,16 @@ class Origin(NamedTuple):
 
 
 class _Publisher(NamedTuple):
-    """Sends the messages of a topic; `wire` is zenoh's."""
+    """Sends the messages of a topic; `wire` is zenoh's, `readers` are those of this process."""
 
     wire: Any
     numbers: "count[int]"
     fresh_until_s: float
+    readers: "list[Reader]"
+
+
+#: Is called with the bytes of a message, or with a message that is handed over, and with its origin.
+Reader = Callable[[Any, Origin], None]
 
 
 class Missed:
@@ -196,6 +205,43 @@ class Exchange(Protocol):
         ...
 
 
+class Shared:
+    """What the services of one process share, see `Fabric.shared`: a session, and readers that need no session.
+
+    Attributes
+    ----------
+    session : zenoh.Session or None
+        Open from the first of the services to the last.
+    readers : dict of str to list of callable
+        By key: what is called with each message that a service of this process publishes, and with its origin.
+    """
+
+    def __init__(self) -> None:
+        self.session: Any = None
+        self.readers: defaultdict[str, list[Reader]] = defaultdict(list)
+        self._lock = threading.Lock()
+        self._services = 0
+
+    def enter(self, open_session: Callable[[], Any]) -> Any:
+        """Return the session for one more service."""
+        session = open_session() if self.session is None else self.session
+        with self._lock:
+            if self.session is None:
+                self.session = session
+            self._services += 1
+        if session is not self.session:  # another has opened one meanwhile
+            session.close()
+        return self.session
+
+    def leave(self) -> None:
+        """Close the session after its last service."""
+        with self._lock:
+            self._services -= 1
+            if self._services == 0:
+                self.session.close()
+                self.session = None
+
+
 class Fabric:
     """Connection of one service to the other services.
 
@@ -228,6 +274,9 @@ class Fabric:
         Messages and requests that could not be decoded.
     missed : Missed
         Messages that did not come: this program, or its connection, was too slow.
+    shared : Shared or None
+        Of a process with several services, which sets it before the first of them is connected, and gives all of them
+        the same endpoint and keys. A service without a name has a session of its own there, too.
 
     Raises
     ------
@@ -235,6 +284,8 @@ class Fabric:
         If the endpoint cannot be used, the hub refuses, no hub answered in time, this is a second gateway of its skin,
         or the role of the keys has another service. Later actions raise it, too, where the role may not do them.
     """
+
+    shared: ClassVar[Shared | None] = None
 
     def __init__(
         self,
@@ -249,6 +300,7 @@ class Fabric:
         keys: Keys | None = None,
         prepare: "Callable[[Fabric], None]" = lambda _: None,
     ) -> None:
+        self._shared = self.shared if service else None
         self.malformed = 0
         self.missed = Missed()
         self._peer = new_peer(skin, service, fingerprint)
@@ -259,7 +311,8 @@ class Fabric:
         self._publishers: dict[str, _Publisher] = {}
         self._kept: list[Any] = []
         self._mailboxes: list[Mailbox[Any]] = []
-        self._closed = threading.Event()
+        self._own_readers: list[tuple[list[Reader], Reader]] = []
+        self._waiting: Mailbox[Any] | None = None
         keys = keys or environment_keys()
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
         self._holder = None if hub else checked(endpoint, keys)[1]
@@ -269,18 +322,22 @@ class Fabric:
                     f"cannot listen on {endpoint} with keys: only 'skin hub' has the rules of the roles: start it, and"
                     f" give --connect {endpoint}"
                 )
-            self._session = open_hub(endpoint, keys, service=service)
+            open_session = partial(open_hub, endpoint, keys, service=service)
         else:
-            self._session = open_client(endpoint, service, stop, patience_s, keys=keys)
+            open_session = partial(open_client, endpoint, service, stop, patience_s, keys=keys)
+        self._closed = threading.Event()
+        self._token: Any = None
+        self._elsewhere = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
+        self._session = open_session() if self._shared is None else self._shared.enter(open_session)
         try:
             if service:
                 self.require_right("appear", service)
             self._require_alone(0.0)
             prepare(self)
-            self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
+            self._token = self._session.liveliness().declare_token(self._peer.key) if service else None
             self._require_alone(SETTLED_S)
         except BaseException:
-            self._session.close()
+            self.close()
             raise
         if keys is not None and service:
             keys.watch_end(service, self._closed)
@@ -315,9 +372,14 @@ class Fabric:
         connection was lost count it as missed.
         """
         publisher = self._publishers.get(topic.name) or self._new_publisher(topic)
-        number = next(publisher.numbers)
-        if publisher.wire.matching_status.matching or time.monotonic() < publisher.fresh_until_s:
-            publisher.wire.put(self._encoder.encode(message), attachment=f"{self._peer.instance}-{number}")
+        origin = Origin(self._peer.instance, next(publisher.numbers))
+        is_sent = publisher.wire.matching_status.matching or time.monotonic() < publisher.fresh_until_s
+        is_handed_over = topic in _HANDED_OVER
+        content = self._encoder.encode(message) if is_sent or (publisher.readers and not is_handed_over) else b""
+        if is_sent:
+            publisher.wire.put(content, attachment=f"{origin.publisher}-{origin.number}")
+        for read in [*publisher.readers]:  # others may come and go
+            read(message if is_handed_over else content, origin)
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
@@ -335,19 +397,29 @@ class Fabric:
         `malformed` counts a message that cannot be decoded when somebody reads it.
         """
         decode = self._decoder(topic)
-        self._receive(topic, lambda sample: handler(partial(decode, sample.payload.to_bytes())))
+        self._receive(topic, lambda content, _origin: handler(partial(decode, content)))
 
     def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes, Origin | None], None]) -> None:
         """Call `handler` with the bytes of every message of `topic`, not decoded, and its origin, if it tells one."""
-        self._receive(topic, lambda sample: handler(sample.payload.to_bytes(), _origin_of(sample.attachment)))
+
+        def receive(content: Any, origin: Origin | None) -> None:
+            handler(content if isinstance(content, bytes) else msgspec.msgpack.encode(content), origin)
+
+        self._receive(topic, receive)
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
         """Return a mailbox that holds the newest `depth` messages of `topic`, for one thread."""
-        ring = self._subscribe(topic, zenoh.handlers.RingChannel(max(depth, _KEPT_MIN)))
-        decode, wake = self._decoder(topic), threading.Thread(target=self._wake, args=(topic,), name="mailbox").start
-        mailbox: Mailbox[Any] = _RingMailbox(
-            depth, lambda payload: decode(payload.to_bytes()), ring, partial(self._is_message, topic), wake
-        )
+        decode = self._decoder(topic)
+        mailbox: Mailbox[Any] = Mailbox(depth, decode)
+        if self._shared is not None:
+            put = mailbox.put
+            self._receive(topic, lambda content, _origin: put(content), is_quick=True)
+        else:
+            ring = self._subscribe(topic, zenoh.handlers.RingChannel(max(depth, _KEPT_MIN)))
+            wake = threading.Thread(target=self._wake, args=(topic,), name="mailbox").start
+            mailbox = _RingMailbox(
+                depth, lambda payload: decode(payload.to_bytes()), ring, partial(self._is_message, topic), wake
+            )
         if depth > 1:
             self._mailboxes.append(mailbox)
         return mailbox
@@ -434,7 +506,17 @@ class Fabric:
     def close(self) -> None:
         """Close the connection after all published messages are sent."""
         self._closed.set()
-        self._session.close()
+        if self._shared is None:
+            self._session.close()
+            return
+        for readers, read in self._own_readers:
+            readers.remove(read)
+        if self._waiting is not None:
+            self._waiting.put(lambda: None)  # the thread looks whether to end
+        for each in (*self._kept, *(publisher.wire for publisher in self._publishers.values()), self._token):
+            if each is not None:
+                each.undeclare()
+        self._shared.leave()
 
     def require_right(self, action: Action, name: str) -> None:
         """Raise DeniedError if the hub will not let the holder of these keys do an action: zenoh says nothing."""
@@ -467,28 +549,62 @@ class Fabric:
         self.require_right("put", topic.name)
         # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
         key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
-        wire = self._session.declare_publisher(key, congestion_control=control)
-        publisher = self._publishers[topic.name] = _Publisher(wire, count(1), time.monotonic() + FRESH_S)
+        wire = self._session.declare_publisher(key, congestion_control=control, allowed_destination=self._elsewhere)
+        readers = [] if self._shared is None else self._shared.readers[key]
+        publisher = _Publisher(wire, count(1), time.monotonic() + FRESH_S, readers)
+        self._publishers[topic.name] = publisher
         return publisher
 
     def _subscribe(self, topic: Topic, handler: Any) -> Any:
         self.require_right("subscribe", topic.name)
-        subscriber = self._session.declare_subscriber(f"{self._prefix}/{topic.name}", handler)
+        subscriber = self._session.declare_subscriber(
+            f"{self._prefix}/{topic.name}", handler, allowed_origin=self._elsewhere
+        )
         self._kept.append(subscriber)
         return subscriber.handler
 
-    def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
+    def _receive(self, topic: Topic, receive: Callable[[Any, Origin | None], None], *, is_quick: bool = False) -> None:
+        """Call `receive` with the bytes of every message and its origin; of this process, with the message itself.
+
+        A message of this process comes in the thread that publishes where `receive` is quick, else in another: a
+        publisher, such as the gateway, waits for no reader.
+        """
+
         def take(sample: Any) -> None:
-            if self._is_message(topic, sample):
-                receive(sample)
+            origin = self._note(topic, sample)
+            if len(sample.payload) > 0:
+                receive(sample.payload.to_bytes(), origin)
 
         self._subscribe(topic, take)
+        if self._shared is not None:
+            own = self._shared.readers[f"{self._prefix}/{topic.name}"], receive if is_quick else self._queued(receive)
+            self._own_readers.append(own)
+            own[0].append(own[1])
 
-    def _is_message(self, topic: Topic, sample: Any) -> bool:
-        """Count what is missing before a sample; tell whether the sample is more than that of `_wake`."""
+    def _queued(self, receive: Reader) -> Reader:
+        """Return what has `receive` called in a thread of this connection."""
+        if self._waiting is None:
+            self._waiting = Mailbox(_WAITING_MAX)
+            self._mailboxes.append(self._waiting)
+            threading.Thread(target=self._hand_over, args=(self._waiting,), name=f"to {self.service}").start()
+        waiting = self._waiting
+        return lambda content, origin: waiting.put(partial(receive, content, origin))
+
+    def _hand_over(self, waiting: Mailbox[Any]) -> None:
+        while not self._closed.is_set():
+            if (read := waiting.get()) is not None:
+                read()
+
+    def _note(self, topic: Topic, sample: Any) -> Origin | None:
+        """Count what is missing before a sample, and return its origin."""
         origin = _origin_of(sample.attachment)
         if origin is not None:
             self.missed.take(topic.name, origin)
+        return origin
+
+    def _is_message(self, topic: Topic, sample: Any) -> bool:
+        """Count what is missing before a sample; tell whether the sample is more than that of `_wake`."""
+        self._note(topic, sample)
         return len(sample.payload) > 0
 
     def _wake(self, topic: Topic) -> None:
@@ -499,12 +615,15 @@ class Fabric:
                 self._session.put(f"{self._prefix}/{topic.name}", b"", allowed_destination=here)
 
     def _decoder(self, topic: Topic) -> Callable[[bytes], Any]:
-        """Return what decodes a message of `topic`, or returns None and counts it in `malformed`."""
+        """Return what decodes a message of `topic`, or returns None and counts it in `malformed`.
+
+        A message that was handed over stays as it is.
+        """
         decode = topic.decoder()
 
-        def decode_or_count(content: bytes) -> Any:
+        def decode_or_count(content: Any) -> Any:
             try:
-                return decode(content)
+                return decode(content) if isinstance(content, bytes) else content
             except UNDECODABLE:
                 self.malformed += 1
                 return None

@@ -423,6 +423,7 @@ class Fault(str, Enum):
     BOOTED = "booted"  #: It has booted again.
     CHANGED = "changed"  #: Its configuration has become another, or another master writes there.
     UNPROVEN = "unproven"  #: Its configuration was not proven for too long.
+    TWICE = "twice"  #: Another board sends sums with its node-ID, or has done so a short while ago.
     STARTING = "starting"  #: Its first proof is under way.
     FROZEN = "frozen"  #: Its values stand still while its frames go on.
 
@@ -449,6 +450,11 @@ class NodeEmergency(msgspec.Struct, frozen=True):
     time_ns: int
 
 
+#: Codes of causes by the state of the gateway's controller, and of SYNCs that the controller takes in no other.
+LINK_CODES: Final = {"lost": "interface-lost", "bus_off": "bus-off", "passive": "error-passive"}
+REFUSED_CODE: Final = "sync-refused"
+
+
 class BusState(Told, frozen=True, kw_only=True):
     """State of one bus, from the gateway.
 
@@ -460,9 +466,8 @@ class BusState(Told, frozen=True, kw_only=True):
         Bus load since SYNC started.
     nmt : bytes
         uint8 per node of the bus: NMT state in the last heartbeat (CiA 301, 7.2.8.3.2), `SILENT` when it is overdue.
-    missing, late, twice : list of int
-        Number of frames per node since the start that did not come in their cycle, that came too late, and that came
-        twice with other sums: two boards have its node-ID.
+    missing, late : list of int
+        Number of frames per node since the start that did not come in their cycle, and that came too late.
     emcy : list of int
         Error code of each node's newest emergency, 0 for none (CiA 301, 7.2.7.1).
     emergencies : list of NodeEmergency
@@ -477,6 +482,8 @@ class BusState(Told, frozen=True, kw_only=True):
         Number of frames that the gateway's receive buffer lost since the start.
     faults : dict of int to NodeFault
         By node-ID, of the nodes whose sums are not used.
+    out_s : dict of int to float
+        For how long they have not been used any more, seconds; of those that were used before.
     answer_s, heartbeat_s : list of (float, float)
         Least and longest time of each node's answers to SDO requests, and between its heartbeats, in the last 10 s to
         20 s; (0, 0) without any.
@@ -497,11 +504,11 @@ class BusState(Told, frozen=True, kw_only=True):
     trouble: str = ""
     overrun: int = 0
     faults: dict[int, NodeFault] = msgspec.field(default_factory=dict)
+    out_s: dict[int, float] = msgspec.field(default_factory=dict)
     answer_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
     heartbeat_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
     other_sync: str = ""
     emergencies: list[NodeEmergency] = msgspec.field(default_factory=list)
-    twice: list[int] = msgspec.field(default_factory=list)
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):

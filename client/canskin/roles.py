@@ -77,6 +77,14 @@ ROLES: Final = {
         subscribe=(MEASUREMENT, LABEL),
         ask=(LAYOUT,),
     ),
+    "run": Role(
+        "skin run: gateway, reconstructor, classifier and a page with its actions in one process",
+        ("gateway", "reconstructor", "classifier", "viewer"),
+        put=(MEASUREMENT, GATEWAY, IMAGE, CONTACTS, LABEL, MARK, SERVICES),
+        subscribe=TOPICS,
+        ask=QUESTIONS,
+        answer=QUESTIONS,
+    ),
     "viewer": Role(
         "skin view, monitor, show, metrics, list and calibration show: changes nothing",
         ("viewer", "monitor", "show", "exporter", "calibration"),

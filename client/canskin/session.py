@@ -328,6 +328,7 @@ def peers_at(
     stop: Stop | None = None,
     *,
     keys: Keys | None = None,
+    service: str = "client",
 ) -> list[Peer]:
     """Return the services of all skins on a hub: as soon as `is_enough`, else those after `patience_s`.
 
@@ -339,6 +340,8 @@ def peers_at(
         If set meanwhile, `canskin.errors.Stopped` is raised.
     keys : Keys, optional
         Default: see `environment_keys`.
+    service : str
+        Name in the log.
 
     Raises
     ------
@@ -347,7 +350,7 @@ def peers_at(
     """
     give_up_s = time.monotonic() + patience_s
     listener = Listener(option=option)
-    session = open_client(endpoint, "client", stop, patience_s, listener, keys=keys or environment_keys())
+    session = open_client(endpoint, service, stop, patience_s, listener, keys=keys or environment_keys())
     try:
         while True:
             peers = peers_of(session)
@@ -361,11 +364,12 @@ def peers_at(
 
 
 class Words(NamedTuple):
-    """Words of the messages about a skin that is looked for: what gives the address, the name, and what else to do."""
+    """Words about a skin that is looked for: what gives the address, the name, what else to do, and who looks."""
 
     address: str = "address"
     name: str = "skin=..."
     advice: str = "is 'skin gateway' running?"
+    service: str = "client"
 
 
 def find_skin(
@@ -405,7 +409,7 @@ def find_skin(
     def is_found(peers: list[Peer]) -> bool:
         return wanted in known(peers) if wanted else bool(known(peers))
 
-    peers = peers_at(endpoint, patience_s, is_found, words.address, stop, keys=keys)
+    peers = peers_at(endpoint, patience_s, is_found, words.address, stop, keys=keys, service=words.service)
     skins = known(peers)
     if wanted in skins or (wanted is None and len(skins) == 1):
         return [peer for peer in peers if peer.skin == (wanted or skins[0]) and knows(peer)]

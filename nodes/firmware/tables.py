@@ -16,7 +16,7 @@ from dbc.board import Board, board
 from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.configuration import calibration, configuration, setting_of
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
+from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, WINDOWS_MET, dictionary
 from dbc.objects import Object
 from dbc.patch_filter import HORIZON, SWITCHING, Models, make_models
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
@@ -242,6 +242,7 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         ),
         "SKIN_WATCHED": (HEARTBEATS_WATCHED, "entries of 1016h"),
         "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
+        "SKIN_WINDOWS_MET": (WINDOWS_MET, "SYNCs without a missed window that end EMCY FF10h"),
         "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),
     }
     rates = {each.board.bitrate for each in boards}

@@ -6,15 +6,15 @@ taxel with fewer of them names itself in what is left.
 
 import heapq
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from shell.compiled import njit
+from shell.compiled import borrowed, njit
 from skin.surface import Surface
 
-#: Columns of the table of `measure_parts`: sum of the force, largest force, number of taxels, first and last row, first
+#: Columns of the table of `cut`: sum of the force, largest force, number of taxels, first and last row, first
 #: and last column; the highest pass to another part of the region (the lower of the two taxels where the parts touch),
 #: and the number of that part. Sums of the force x the places of the taxels follow.
 FORCE: Final = 0
@@ -31,6 +31,35 @@ FEATURES: Final = 9
 BORDER: Final = 2
 #: Taxels with a neighbour in common are neighbours, too, up to this multiple of the pitch: the diagonal of a square.
 DIAGONAL_RATIO: Final = 1.5
+
+
+class Regions(NamedTuple):
+    """The taxels of a skin, and the regions of an image.
+
+    Attributes
+    ----------
+    neighbours, around : arrays of int32
+        Tables of the taxels within one step, and within `BORDER`.
+    places : array of float64, shape (n, D)
+        Where each taxel is.
+    region, owner, part : arrays of int32, shape (n,)
+        Numbers, from 1, of each taxel's region, of its owner, and of the pair of both; 0 outside of regions.
+    pairs : array of int32, shape (n, 2)
+        Row k - 1 is region and owner of part k.
+    touched : array of int32, shape (n + 1,)
+        The taxels of all regions, ascending, and -1 after the last.
+    scratch : array of int32, shape (n,)
+    """
+
+    neighbours: Any
+    around: Any
+    places: Any
+    region: Any
+    owner: Any
+    part: Any
+    pairs: Any
+    touched: Any
+    scratch: Any
 
 
 @cache
@@ -68,83 +97,128 @@ def _table(pairs: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int32]:
     return table
 
 
+def no_regions(surface: Surface, places: npt.NDArray[np.float64]) -> Regions:
+    """Return the regions of an untouched skin."""
+    count = len(places)
+    pairs, touched = np.zeros((count, 2), np.int32), np.full(count + 1, -1, np.int32)
+    numbers, scratch = np.zeros((3, count), np.int32), np.zeros(count, np.int32)
+    return Regions._make([*neighbour_tables(surface), places, *numbers, pairs, touched, scratch])
+
+
 @njit(cache=True, nogil=True)
-def find_regions(  # noqa: PLR0917 - compiled
-    force: Any, neighbours: Any, edge: float, least_peak: float, regions: Any, queue: Any
-) -> int:
-    """Give numbers to the regions of neighbouring taxels above `edge`, from 1; return the last.
+def cut(image: Any, edge: float, least_peak: float, held: Any) -> Any:
+    """Cut an image, shape (rows, columns), into parts, one for each pair of region and owner; return their table.
+
+    A region is neighbouring taxels above `edge`, one of them above `least_peak`. Each taxel of a region has the owner
+    that it had, else that of the taxels uphill of it. Where two owners meet, the border between them follows the
+    valley: taxels within `BORDER` of another owner are given anew. Owners spread from their other taxels to their
+    neighbours, over the largest force first. A region without owner keeps 0.
+    `held` are `Regions` (`shell.compiled.hold`) with the owners of the image before, and set anew. The table has shape
+    (parts, FEATURES + D).
+    """
+    regions = borrowed(held.value)
+    force = image.ravel()
+    _find_regions(force, edge, least_peak, regions)
+    touched = regions.touched[: _list_touched(regions)]
+    _spread_owners(force, touched, regions)
+    table = np.zeros((_number_parts(touched, regions), FEATURES + regions.places.shape[1]))
+    _measure_parts(image, touched, regions, table)
+    return table
+
+
+@njit(cache=True, nogil=True)
+def give_owners(  # noqa: PLR0917 - compiled
+    owner_of_part: Any, image: Any, measured: Any, doubtful: Any, held: Any, table: Any
+) -> None:
+    """Give the taxels of each part its new owner.
 
     Parameters
     ----------
-    force : array of float, shape (n,)
-    least_peak : float
-        A region without a taxel above this is left out.
-    regions : array of int32, shape (n,)
-        Set to the number of each taxel's region; 0 is none.
-    queue : array of int32, shape (n,)
-        Scratch.
+    owner_of_part : array of int32, shape (1 + parts,)
+    measured, doubtful : arrays of bool, shape (n,)
+        An empty one tells of no taxel that was not measured, or is doubtful.
+    table : array of float64, shape (1 + owners, 2)
+        Set to the number of taxels of each owner that were not measured, and its force on doubtful taxels.
     """
-    regions[:] = 0
-    count, weak = 0, -1
+    regions = borrowed(held.value)
+    force = image.ravel()
+    table[:] = 0
+    for taxel in regions.touched:
+        if taxel < 0:
+            break
+        owner = owner_of_part[regions.part[taxel]]
+        regions.owner[taxel] = owner
+        if measured.size and not measured[taxel]:
+            table[owner, 0] += 1
+        if doubtful.size and doubtful[taxel]:
+            table[owner, 1] += force[taxel]
+
+
+@njit(cache=True, nogil=True)
+def _find_regions(force: Any, edge: float, least_peak: float, regions: Regions) -> None:
+    """Give numbers to the regions; taxels of one without a peak have -1."""
+    region, queue = regions.region, regions.scratch
+    region[:] = 0
+    number, weak = 0, -1
     for start in range(force.size):
-        if regions[start] or not force[start] > edge:
+        if not force[start] > edge or region[start]:
             continue
-        regions[start] = weak
+        region[start] = weak
         queue[0], first, last = start, 0, 1
         peak = force[start]
         while first < last:
             taxel = queue[first]
             peak = max(peak, force[taxel])
             first += 1
-            for other in neighbours[taxel]:
-                if not regions[other] and force[other] > edge:
-                    regions[other] = weak
+            for other in regions.neighbours[taxel]:
+                if not region[other] and force[other] > edge:
+                    region[other] = weak
                     queue[last] = other
                     last += 1
         if peak > least_peak:
-            count += 1
+            number += 1
             for place in range(last):
-                regions[queue[place]] = count
-    for start in range(force.size):
-        regions[start] = max(regions[start], 0)
+                region[queue[place]] = number
+
+
+@njit(cache=True, nogil=True)
+def _list_touched(regions: Regions) -> int:
+    """List the taxels of all regions, and forget owners and parts of the others; return the length of the list."""
+    region, touched, count = regions.region, regions.touched, 0
+    for taxel in touched:  # of the image before
+        if taxel < 0:
+            break
+        regions.part[taxel] = 0
+        if region[taxel] <= 0:
+            regions.owner[taxel] = 0
+    for taxel in range(region.size):
+        if region[taxel] > 0:
+            touched[count] = taxel
+            count += 1
+        elif region[taxel]:
+            region[taxel] = 0
+    touched[count] = -1
     return count
 
 
 @njit(cache=True, nogil=True)
-def spread_owners(  # noqa: PLR0917 - compiled
-    force: Any, neighbours: Any, around: Any, regions: Any, owners: Any, seeds: Any
-) -> None:
-    """Give each taxel of a region an owner: the one it had, else that of the taxels uphill of it.
-
-    Where two owners meet, the border between them follows the valley: taxels within `BORDER` of another owner are given
-    anew. Owners spread from their other taxels to their neighbours, over the largest force first.
-
-    Parameters
-    ----------
-    force : array of float, shape (n,)
-    neighbours, around : array of int32
-        Tables of the taxels within one step, and within `BORDER`.
-    regions : array of int32, shape (n,)
-        From `find_regions`.
-    owners : array of int32, shape (n,)
-        Numbers of the owners, from 1. Set to 0 outside of regions, and spread inside. A region without owner keeps 0.
-    seeds : array of int32, shape (n,)
-        Scratch.
-    """
-    _plant(around, regions, owners, seeds)
+def _spread_owners(force: Any, touched: Any, regions: Regions) -> None:
+    region, owner, seeds = regions.region, regions.owner, regions.scratch
+    _plant(touched, regions.around, owner, seeds)
     heap = [(0.0, 0)]
     heap.pop()
-    owners[:] = seeds
-    for taxel in range(force.size):
-        if seeds[taxel] and _can_spread(neighbours[taxel], regions, owners):
-            heap.append((-np.float64(force[taxel]), taxel))  # noqa: PERF401  no generators here
+    for taxel in touched:
+        owner[taxel] = seeds[taxel]
+    for taxel in touched:
+        if seeds[taxel] and _can_spread(regions.neighbours[taxel], region, owner):
+            heap.append((-np.float64(force[taxel]), 0 + taxel))  # noqa: PERF401  no generators here; of one type
     heapq.heapify(heap)
     while heap:
         taxel = heapq.heappop(heap)[1]
-        for other in neighbours[taxel]:
-            if regions[other] and not owners[other]:
-                owners[other] = owners[taxel]
-                heapq.heappush(heap, (-np.float64(force[other]), 0 + other))  # of the type of the others
+        for other in regions.neighbours[taxel]:
+            if region[other] and not owner[other]:
+                owner[other] = owner[taxel]
+                heapq.heappush(heap, (-np.float64(force[other]), 0 + other))
 
 
 @njit(cache=True, nogil=True)
@@ -157,18 +231,18 @@ def _can_spread(neighbours: Any, regions: Any, owners: Any) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _plant(around: Any, regions: Any, owners: Any, seeds: Any) -> None:
-    """Set the seeds: owners inside of regions, without taxels at a border unless an owner has no others."""
-    inner = np.zeros(owners.max() + 1, np.bool_)
-    for taxel in range(owners.size):
-        if not regions[taxel]:
-            owners[taxel] = 0
-    for taxel in range(owners.size):
+def _plant(touched: Any, around: Any, owners: Any, seeds: Any) -> None:
+    """Set the seeds: owners without the taxels at a border, unless an owner has no others."""
+    most = 0
+    for taxel in touched:
+        most = max(most, owners[taxel])
+    inner = np.zeros(most + 1, np.bool_)
+    for taxel in touched:
         is_inner = owners[taxel] > 0 and not _is_border(around[taxel], owners, owners[taxel])
         seeds[taxel] = owners[taxel] if is_inner else 0
         if is_inner:
             inner[owners[taxel]] = True
-    for taxel in range(owners.size):
+    for taxel in touched:
         if not inner[owners[taxel]]:
             seeds[taxel] = owners[taxel]
 
@@ -183,54 +257,29 @@ def _is_border(around: Any, owners: Any, mine: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def number_parts(regions: Any, owners: Any, parts: Any, table: Any) -> int:
-    """Give numbers to the pairs of region and owner, from 1; return the last.
-
-    Parameters
-    ----------
-    regions, owners : array of int32, shape (n,)
-    parts : array of int32, shape (n,)
-        Set to the number of each taxel's pair; 0 outside of regions.
-    table : array of int32, shape (n, 2)
-        Row k - 1 is set to region and owner of part k.
-    """
-    count = 0
-    for taxel in range(regions.size):
-        parts[taxel] = 0
-        if not regions[taxel]:
-            continue
+def _number_parts(touched: Any, regions: Regions) -> int:
+    """Give numbers to the pairs of region and owner, from 1; return the last."""
+    count, pairs = 0, regions.pairs
+    for taxel in touched:
+        region, owner = regions.region[taxel], regions.owner[taxel]
         for known in range(count):
-            if table[known, 0] == regions[taxel] and table[known, 1] == owners[taxel]:
-                parts[taxel] = known + 1
+            if pairs[known, 0] == region and pairs[known, 1] == owner:
+                regions.part[taxel] = known + 1
                 break
         else:
-            table[count, 0], table[count, 1] = regions[taxel], owners[taxel]
+            pairs[count, 0], pairs[count, 1] = region, owner
             count += 1
-            parts[taxel] = count
+            regions.part[taxel] = count
     return count
 
 
 @njit(cache=True, nogil=True)
-def measure_parts(image: Any, neighbours: Any, places: Any, parts: Any, table: Any) -> None:
-    """Sum up each part, and find its highest pass to a neighbouring part.
-
-    Parameters
-    ----------
-    image : array of float, shape (rows, columns)
-    places : array of float64, shape (n, D)
-        Where each taxel is.
-    parts : array of int32, shape (n,)
-        Numbers from 1; 0 is left out.
-    table : array of float64, shape (parts, FEATURES + D)
-        Set to one row for each part.
-    """
+def _measure_parts(image: Any, touched: Any, regions: Regions, table: Any) -> None:
+    """Sum up each part in a table of zeros, and find its highest pass to a neighbouring part."""
     rows, columns = image.shape
-    forces = image.ravel()
-    table[:] = 0
+    forces, parts, places = image.ravel(), regions.part, regions.places
     table[:, TOP], table[:, LEFT] = rows, columns
-    for taxel in range(forces.size):
-        if not parts[taxel]:
-            continue
+    for taxel in touched:
         part, force = table[parts[taxel] - 1], forces[taxel]
         y, x = divmod(taxel, columns)
         part[FORCE] += force
@@ -240,6 +289,6 @@ def measure_parts(image: Any, neighbours: Any, places: Any, parts: Any, table: A
         part[LEFT], part[RIGHT] = min(part[LEFT], x), max(part[RIGHT], x)
         for each in range(places.shape[1]):
             part[FEATURES + each] += force * places[taxel, each]
-        for other in neighbours[taxel]:
+        for other in regions.neighbours[taxel]:
             if parts[other] and parts[other] != parts[taxel] and min(force, forces[other]) > part[PASS]:
                 part[PASS], part[NEIGHBOUR] = min(force, forces[other]), parts[other]

@@ -16,12 +16,23 @@ from canskin import fabric as fabric_module
 from canskin import session as session_module
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.errors import BusError, Stopped
-from canskin.fabric import Fabric, Mailbox, Missed, Origin, Reply
-from canskin.messages import LABEL, Label
+from canskin.fabric import Fabric, Mailbox, Missed, Origin, Reply, Shared
+from canskin.messages import (
+    IMAGE,
+    LABEL,
+    MARK,
+    MEASUREMENT,
+    CycleMeasurement,
+    Image,
+    Label,
+    Mark,
+    SteppedMeasurement,
+    Topic,
+)
 from canskin.peers import Peer, Roll, new_peer, peer_of_key
 from canskin.session import MESSAGE_MAX, open_client, open_hub
 from tests.client.conftest import Log
-from tests.messages import label
+from tests.messages import image, label
 from tests.processes import PATIENCE_S
 
 
@@ -32,10 +43,12 @@ def hub(endpoint: str) -> Iterator[Fabric]:
     fabric.close()
 
 
-def send_until_heard(sender: Fabric, heard: threading.Event) -> None:
+def send_until_heard(
+    sender: Fabric, heard: threading.Event, topic: Topic = LABEL, message: msgspec.Struct | None = None
+) -> None:
     """Publish until a subscriber, whose declaration takes its time, has heard."""
     for cycle in range(round(PATIENCE_S / 0.02)):
-        sender.publish(LABEL, label(cycle))
+        sender.publish(topic, message or label(cycle))
         if heard.wait(0.02):
             return
     pytest.fail("nothing was heard")
@@ -368,3 +381,55 @@ def test_a_message_beyond_the_limit_is_dropped_and_the_next_are_heard(endpoint: 
     subscriber.undeclare()
     client.close()
     hub.close()
+
+
+@pytest.fixture
+def shared(monkeypatch: pytest.MonkeyPatch) -> Shared:
+    shared = Shared()
+    monkeypatch.setattr(Fabric, "shared", shared)
+    return shared
+
+
+def test_services_of_one_process_share_a_session_and_others_hear_each_message_once(
+    endpoint: str, shared: Shared, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gateway, page = Fabric("test", "maker", endpoint, hub=True), Fabric("test", "page", endpoint)
+    assert page._session is gateway._session is shared.session
+    with monkeypatch.context() as patch:
+        patch.setattr(Fabric, "shared", None)
+        outside = Fabric("test", "outside", endpoint)
+    own, other = page.mailbox(IMAGE), outside.mailbox(IMAGE)
+    own_labels, other_labels = queue.Queue[Label](), queue.Queue[Label]()
+    page.subscribe(LABEL, own_labels.put)
+    outside.subscribe(LABEL, other_labels.put)
+    heard = threading.Event()
+    gateway.subscribe(MARK, lambda _: heard.set())
+    send_until_heard(outside, heard, MARK, Mark(label="ring"))
+    sent, told = image(1), label(1)
+    for publisher in (gateway, outside):
+        publisher.publish(IMAGE, sent)
+        publisher.publish(LABEL, told)
+        here, there = own.get(PATIENCE_S), other.get(PATIENCE_S)
+        assert here == there == sent
+        assert (here is sent) is (publisher is gateway)  # handed over as it is
+        assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == told
+    gateway.publish(IMAGE, image(2))
+    gateway.publish(LABEL, label(2))
+    for newest in (own.get(PATIENCE_S), other.get(PATIENCE_S)):  # none came twice
+        assert newest == image(2)
+    assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == label(2)
+    gateway.answer(CALIBRATION, lambda _request, reply: reply(CalibrationReply(is_done=True, text="")))
+    assert page.ask(CALIBRATION, CalibrationRequest(action="tare"), PATIENCE_S).is_done
+    assert {each.service for each in outside.peers()} == {"maker", "page", "outside"}
+    gateway.close()
+    assert {each.service for each in outside.peers()} == {"page", "outside"}
+    page.close()
+    assert shared.session is None
+    outside.close()
+
+
+def test_what_is_handed_over_cannot_be_changed() -> None:
+    for message in (Image, CycleMeasurement, SteppedMeasurement):
+        assert message.__struct_config__.frozen
+        assert {field.type for field in msgspec.structs.fields(message)} <= {int, float, str, bytes}
+    assert fabric_module._HANDED_OVER == (MEASUREMENT, IMAGE)

@@ -88,7 +88,9 @@ def test_a_bus_of_another_bit_rate_and_boards_that_are_not_there(
     assert "it runs at 500000 bit/s, not 1000000" in found["interface-differs"]["text"]
     with serving("bus0", "bus1"):
         _, found = examined("--layout", palm)
-    assert "all 2 nodes never heard" in found["node-absent"]["text"]
+    assert "all nodes never heard" in found["node-absent"]["text"]
+    assert f"'skin scan --layout={palm} --connect=tcp/" in found["node-absent"]["mend"]
+    assert f"'skin gateway --layout={palm}'" in found["hub-away"]["mend"]
 
 
 @pytest.mark.parametrize(
@@ -161,12 +163,12 @@ def test_beside_a_gateway_nothing_is_sent_and_its_skin_is_judged(
 ) -> None:
     monkeypatch.setattr(doctor_command, "PATIENCE_S", PATIENCE_S)
     monkeypatch.setattr(doctor_command, "_look_at_buses", lambda *_: pytest.fail("the buses are the gateway's"))
-    with telling(endpoint, status_of(load_ratio=0.01), "reconstructor"):
+    with telling(endpoint, status_of(load_ratio=0.01), "reconstructor", "classifier"):
         assert examined() == (0, {})
     with telling(endpoint, status_of(load_ratio=0.9, faults={2: NodeFault(Fault.OTHER_DEVICE, "1018h:2 was 1")})):
         code, found = examined()
     assert code == 1
-    assert found.keys() == {"node-other-device", "bus-load-above-plan", "no-image"}
+    assert found.keys() == {"node-other-device", "bus-load-above-plan", "no-image", "service-absent"}
     assert "1018h:2 was 1" in found["node-other-device"]["text"]
     assert "load 90.0%, planned are" in found["bus-load-above-plan"]["text"]
 

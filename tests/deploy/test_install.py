@@ -91,8 +91,8 @@ def test_a_file_that_was_changed_by_hand_stays(install: Install, tmp_path: Path)
 def test_each_service_gets_the_keys_of_its_role_and_no_other(install: Install, tmp_path: Path) -> None:
     root, given = tmp_path / "root", tmp_path / "keys"
     new(given, skin="skin")
-    assert " skin@hub skin@gateway " in install(root, "--keys", str(given)).stdout
-    roles = {"hub", "gateway", "reconstructor", "classifier", "operator", "recorder", "ros2", "viewer"}
+    assert " skin@hub skin@run\n" in install(root, "--keys", str(given)).stdout
+    roles = {"hub", "run", "gateway", "reconstructor", "classifier", "operator", "recorder", "ros2", "viewer"}
     assert {path.name for path in (root / "etc/canskin/keys").iterdir()} == roles
     for verb, role in ROLES.items():
         (line,) = (word for word in Unit(root, verb).settings["Environment"] if word.startswith("SKIN_KEYS="))
@@ -100,7 +100,8 @@ def test_each_service_gets_the_keys_of_its_role_and_no_other(install: Install, t
         assert (Keys(keys).common_name, keys.stat().st_mode & 0o777) == (f"skin:{role}", 0o700)
         assert all(path.stat().st_mode & 0o777 == 0o600 for path in keys.iterdir())
     assert Unit(root, "hub").command()[1:] == ["hub", "--listen", "tls/0.0.0.0:7447"]
-    assert "--connect tls/127.0.0.1:7447" in " ".join(Unit(root, "gateway").command())
+    for verb in ("run", "gateway"):
+        assert "--connect tls/127.0.0.1:7447" in " ".join(Unit(root, verb).command())
     install(root, "--remove")
     assert files(root) == set()
 

@@ -21,9 +21,8 @@ from tests.processes import Processes, free_port
 from tests.readonly import give_compiled, gives_real_time, not_here
 from tests.system.helpers import first_image
 
-VERBS = ("gateway", "reconstruct", "classify", "view", "record")
-#: ROS 2 and Prometheus have no part in the chain that runs here.
-INSTANCES = (*VERBS, "ros2", "metrics")
+VERBS = ("run", "record")
+INSTANCES = (*VERBS, "gateway", "reconstruct", "classify", "view", "ros2", "metrics")
 #: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
 EXPOSURE_MAX = 20
 #: Where the services keep kernels, and the module of the gateway whose kernels are not there before.
@@ -63,8 +62,8 @@ def test_no_unit_gets_more_than_it_needs(units: Path, verb: str) -> None:
 
 
 def test_only_services_of_the_buses_open_can_sockets(installed: Path) -> None:
-    allowed = {verb: " ".join(Unit(installed, verb).settings["RestrictAddressFamilies"]).split() for verb in VERBS}
-    assert {verb for verb, families in allowed.items() if "AF_CAN" in families} == {"gateway", "record"}
+    allowed = {verb: " ".join(Unit(installed, verb).settings["RestrictAddressFamilies"]).split() for verb in INSTANCES}
+    assert {verb for verb, families in allowed.items() if "AF_CAN" in families} == {"run", "gateway", "record"}
 
 
 #: Prints the numbers of the errors of what a service must not do, its user, and whether it has a capability.
@@ -123,12 +122,17 @@ def test_units_run_confined_as_they_say(installed: Path, tmp_path: Path) -> None
         "record": "-i canskin",
     }
     with running(root, more, *VERBS) as processes:
-        processes.await_words("gateway", "scheduling")
+        processes.await_words("run", "gateway: scheduling")
         first_image(processes, f"{UNIX}/{processes.folder}/writable/run/canskin/hub")
-        processes.await_words("view", "web page")
+        processes.await_words("run", "web page")
         wanted = "scheduling: real time" if gives_real_time() else "scheduling: ordinary"
-        for verb in ("gateway", "reconstruct", "classify", "record"):
-            assert processes.log(verb).read_text().count(wanted) == 1, verb
+        for verb, service in (
+            ("run", "gateway"),
+            ("run", "reconstructor"),
+            ("run", "classifier"),
+            ("record", "record"),
+        ):
+            assert processes.log(verb).read_text().count(f"{service}: {wanted}") == 1, service
         for verb in VERBS:
             assert processes.stop(verb) == 0, processes.log(verb).read_text()
         kept = processes.folder / "writable/var/lib/canskin"

@@ -144,7 +144,7 @@ def test_another_sync_producer_is_complained_of_once(world: World) -> None:
 def test_emergency_of_a_node_is_complained_of(world: World) -> None:
     world.wires[0].put(EMCY_BASE + 1, bytes((0x10, 0xFF, 0x81, 0, 0, 0, 0, 0)))
     world.run(0.5)
-    assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
+    assert world.complaints == ["EMCY FF10h from node 1 on bus0 [node-emergency]"]
     assert world.status().buses[0].emcy == [0xFF10, 0]
     world.wires[0].put(EMCY_BASE + 1, bytes(8))
     world.run(0.5)
@@ -152,7 +152,7 @@ def test_emergency_of_a_node_is_complained_of(world: World) -> None:
     first, second = world.status().buses[0].emergencies
     assert [(each.node, each.code) for each in (first, second)] == [(1, 0xFF10), (1, 0)]
     assert second.time_ns - first.time_ns == pytest.approx(0.5e9, abs=2 * STEP_S * 1e9)
-    assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
+    assert world.complaints == ["EMCY FF10h from node 1 on bus0 [node-emergency]"]
 
 
 def test_answer_that_a_board_gave_before_a_write_and_sends_after_it_proves_nothing(world: World) -> None:

@@ -199,6 +199,12 @@ def answer(boards: Boards, *, wrong: bool) -> None:
     boards.run(0.4)
 
 
+def come_twice(boards: Boards) -> None:
+    """Let frames come twice with other sums in two cycles."""
+    for _ in range(2):
+        boards.node(1).take_twice(boards.now_s)
+
+
 #: What happens, and the state after it, by the state before it; other events of a state leave the state.
 EVENTS: list[tuple[Callable[[Boards], None], dict[NodeState, NodeState]]] = [
     (lambda boards: boards.hear(HEARTBEAT_BASE + 1, b"\0"), dict.fromkeys(NodeState, W)),
@@ -215,6 +221,7 @@ EVENTS: list[tuple[Callable[[Boards], None], dict[NodeState, NodeState]]] = [
     (silence, {R: W, RC: C, U: W, UC: C}),
     (lambda boards: answer(boards, wrong=False), {W: U, C: U, RC: U, UC: U}),
     (lambda boards: answer(boards, wrong=True), {W: R, C: R, RC: R, UC: R}),
+    (come_twice, {C: W, U: W, UC: W}),
     (lambda boards: boards.run(1.0), {W: U, C: W, RC: R, UC: U}),
 ]
 

@@ -9,7 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.fabric import Fabric, Unread
-from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Topic, Truth
+from canskin.messages import (
+    Contacts,
+    FrameCounts,
+    GatewayStatus,
+    Image,
+    Label,
+    NodeEmergency,
+    NodesStatus,
+    Topic,
+    Truth,
+)
 from canskin.peers import Peer
 from health.state import ViewState
 from skin.layout import Layout
@@ -138,8 +148,9 @@ class Messages:
         links: tuple[str, str] = ("active", "active"),
         troubles: tuple[str, str] = ("", ""),
         refused: tuple[int, ...] = (),
+        emergencies: tuple[NodeEmergency, ...] = (),
     ) -> GatewayStatus:
-        """``refused`` are nodes of the left bus."""
+        """``refused`` and ``emergencies`` are of nodes of the left bus."""
         states = nmt or ((5, 5, 5, 5), (5, 5, 5, 5))
         buses = [
             make.bus_state(
@@ -153,7 +164,7 @@ class Messages:
             )
             for bus, state, link, trouble in zip(self.layout.bus, states, links, troubles, strict=True)
         ]
-        buses[0] = msgspec.structs.replace(buses[0], refused=list(refused))
+        buses[0] = msgspec.structs.replace(buses[0], refused=list(refused), emergencies=list(emergencies))
         return make.gateway_status(cycles, frames=FrameCounts(accepted=16 * cycles, missing=missing), buses=buses)
 
     def nodes(self, process: str = "nodes") -> NodesStatus:

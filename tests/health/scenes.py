@@ -422,12 +422,12 @@ SCENES: Final = (
     Scene("an identifier fills the bus: 1", flooding(1, 2 * FLOOD), ("bus-full", *SILENT), tables=SLOW),
     Scene("an identifier fills the bus: 7FFh", flooding(0x7FF), ("bus-full",), tables=SLOW),
     Scene("a node floods the bus with its sums", doing(babbles), (
-        "bus-full", "node-twice", *SILENT
+        "bus-full", "node-twice", *SILENT, "node-emergency"
     ), tables=SLOW),
     Scene("a node dies, and boots", dies, (*SILENT, "node-booted")),
     Scene("a node boots again", once(reboots), ("node-booted",), 0.0),
     Scene("a node is never there", never_there, ("node-absent", "node-booted"), at_start=True),
-    Scene("two boards have one node-ID", doubled, ("node-booted", "error-passive", "node-twice", "node-silent")),
+    Scene("two boards have one node-ID", doubled, ("node-booted", "node-twice", "error-passive")),
     Scene("another device has the node-ID", answers(od.IDENTITY, little(0x1234), 1), (
         "node-other-device",
     ), at_start=True),

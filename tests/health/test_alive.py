@@ -68,7 +68,7 @@ def test_service_is_found_whatever_the_name_of_its_skin(
         capsys.readouterr()
         assert main() == status
         told = capsys.readouterr().err
-    assert told == f"skin-alive: {service} is not there\n" * status
+    assert told == f"skin-alive: {service} is not there [service-absent]\n" * status
 
 
 @pytest.mark.heavy
@@ -90,7 +90,9 @@ def test_a_service_is_healthy_while_its_messages_tell_of_measured_blocks(
     assert set(seen) <= names  # nobody saw the check
     monkeypatch.setattr("health.alive.WORK_S", 0.3)
     with hub(endpoint, *sorted(names), messages=(idles,)):
-        assert trouble(service, endpoint) == f"{service} is there, but nothing tells of measured blocks"
+        assert (
+            trouble(service, endpoint) == f"{service} is there, but nothing tells of measured blocks [service-silent]"
+        )
 
 
 @pytest.mark.heavy

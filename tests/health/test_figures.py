@@ -18,18 +18,6 @@ def state(messages: Any) -> ViewState:
     return ViewState(messages.layout)
 
 
-def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -> None:
-    latencies_s = np.linspace(0.004, 0.012, 300)
-    for cycle, latency_s in enumerate(latencies_s, 1):
-        state.take(messages.image(cycle, sync_s=cycle / 100, latency_s=latency_s), cycle / 100)
-    figures = seen_of(state, 3.0).figures
-    assert figures.images_hz == pytest.approx(100, rel=0.02)
-    assert figures.latency_p50_s == pytest.approx(np.percentile(latencies_s, 50), abs=1e-6)
-    assert figures.latency_p99_s == pytest.approx(np.percentile(latencies_s, 99), abs=1e-6)
-    later = seen_of(state, 9.0).figures
-    assert (later.images_hz, later.latency_p50_s, later.latency_p99_s) == (0.0, None, None)
-
-
 def test_images_of_which_nothing_was_measured_have_no_rate(state: ViewState, messages: Any) -> None:
     for cycle in range(1, 101):
         state.take(messages.image(cycle, invalid=tuple(range(8))), cycle / 100)

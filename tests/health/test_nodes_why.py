@@ -54,11 +54,11 @@ def test_a_node_loses_frames_until_none_is_missing_for_a_while(state: ViewState,
     assert troubles(state, 2.4 + LOSS_S) == []
 
 
-def test_a_window_that_was_missed_explains_a_loss_and_is_none(state: ViewState, messages: Messages) -> None:
+def test_an_emergency_explains_a_loss(state: ViewState, messages: Messages) -> None:
     for at_s, missing in ((1.0, 0), (1.2, 1), (1.2 + LOSS_S, 1)):
         state.take(losing(messages.gateway(), [0, missing, 0, 0], emcy=0xFF10), at_s)
         whys = [why for _, _, why in troubles(state, at_s)]
-        assert whys == (["frames with sums are missing, EMCY FF10h"] if at_s == 1.2 else [])
+        assert whys == ["frames with sums are missing, EMCY FF10h" if at_s == 1.2 else "EMCY FF10h"]
 
 
 def changed_bus(status: GatewayStatus, **changed: object) -> GatewayStatus:
@@ -113,17 +113,20 @@ def test_what_a_bus_tells_has_one_cause(
     assert codes == ([] if code is None else [code])
 
 
+@pytest.mark.parametrize(("kind", "word"), [(Fault.SILENT, "silent"), (Fault.ABSENT, "never heard")])
 @pytest.mark.parametrize(
     ("silent", "place"),
     [((3, 4), "between node 2 and node 3"), ((1, 2, 3), "between node 3 and node 4"), ((2, 3), None), ((4,), None)],
 )
 def test_nodes_behind_a_place_that_fall_silent_together_are_a_broken_cable(
-    state: ViewState, messages: Messages, silent: tuple[int, ...], place: str | None
+    state: ViewState, messages: Messages, silent: tuple[int, ...], place: str | None, kind: Fault, word: str
 ) -> None:
     state.take(messages.gateway(), 1.0)
-    state.take(changed_bus(messages.gateway(), faults={node: NodeFault(Fault.SILENT) for node in silent}), 2.0)
+    faults = {node: NodeFault(kind) for node in silent}
+    state.take(changed_bus(messages.gateway(), faults=faults, out_s=dict.fromkeys(silent, 60.0)), 2.0)
+    assert all(each.since_time_s == 942.0 for each in seen_of(state, 2.0).notices if each.subject.startswith("left"))
     found = [(each.code, each.subject) for each in seen_of(state, 2.0).notices if each.subject.startswith("left")]
-    assert found == [("cable-break", f"left {place}") if place else ("node-silent", "left silent")]
+    assert found == [("cable-break", f"left {place}") if place else (NodeFault(kind).code, f"left {word}")]
 
 
 def test_sync_that_is_left_out_is_the_host_s_fault_for_a_while(state: ViewState, messages: Messages) -> None:

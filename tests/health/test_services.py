@@ -71,8 +71,13 @@ def test_a_reconstructor_that_has_input_and_never_sent_an_image_is_silent() -> N
     assert told_at(state, 2.0) == [("service-silent", "error")]
 
 
-@pytest.mark.parametrize(("runs_s", "level"), [(STARTED_S - 1, "info"), (STARTED_S, "warning")])
-def test_no_reconstructor_is_a_warning_when_the_gateway_has_run_for_a_while(runs_s: float, level: str) -> None:
+@pytest.mark.parametrize(
+    ("runs_s", "told"), [(STARTED_S - 1, ("no-image", "info")), (STARTED_S, ("service-absent", "warning"))]
+)
+def test_no_reconstructor_is_a_warning_when_the_gateway_has_run_for_a_while(
+    runs_s: float, told: tuple[str, str]
+) -> None:
     state, status = ViewState(Messages().layout), Messages().gateway(cycles=1)
+    note(state, "gateway", True, 0.0)
     state.take(Messages().gateway(cycles=round(runs_s * status.sync_rate_hz)), 2.0)
-    assert told_at(state, 2.0) == [("no-image", level)]
+    assert told_at(state, 2.0) == [told]

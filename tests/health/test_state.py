@@ -9,7 +9,7 @@ import pytest
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.peers import Peer, new_peer
 from health.services import PEERS, SERVICES
-from health.state import PROCESSES, ViewState
+from health.state import MISFITS_S, PROCESSES, ViewState
 from tests import messages as make
 from tests.health.helpers import note, seen_of
 from tests.layouts import tube_layout
@@ -101,7 +101,9 @@ def test_virtual_nodes_that_leave_are_told(state: ViewState) -> None:
 def test_nodes_off_duty_are_named(state: ViewState, messages: Any) -> None:
     state.take(messages.gateway(nmt=((5, 255, 127, 255), (4, 4, 4, 4))), 1.0)
     assert texts(state, 1.1, "warning") == ["left: nodes 2, 4 silent", "left: node 3 pre-operational"]
-    assert texts(state, 1.1) == ["right: all 4 nodes stopped"]
+    assert texts(state, 1.1) == ["right: all nodes stopped"]
+    state.take(messages.gateway(nmt=((5, 255, 5, 5), (5, 255, 5, 5))), 1.2)
+    assert texts(state, 1.3, "warning") == ["left, right: node 2 silent"]
 
 
 def test_a_bus_without_any_operational_node_is_an_error_once_sync_runs(state: ViewState, messages: Any) -> None:
@@ -148,6 +150,7 @@ def test_a_message_of_another_skin_is_counted_and_not_shown(
     snapshot = seen_of(state, 1.2, undecodable=2)
     assert snapshot.ignored == 3
     assert texts(state, 1.2, "warning")[0].startswith("1 messages ignored")
+    assert seen_of(state, 1.2 + MISFITS_S, undecodable=2).ignored == 0
     shown = getattr(snapshot, kind)
     assert shown is None or shown.age_s == pytest.approx(0.2)
 
@@ -224,7 +227,7 @@ def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messa
     assert texts(state, 1.1) == [f"buses left, right {lost}"]
     assert texts(state, 1.1, "warning") == []
     state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off"), troubles=(passive, off)), 1.2)
-    assert texts(state, 1.3) == [f"bus left {passive}", f"bus right {off}", "left: all 4 nodes silent"]
+    assert texts(state, 1.3) == [f"bus left {passive}", f"bus right {off}", "left: all nodes silent"]
     assert texts(state, 1.3, "warning") == []
     gateway = seen_of(state, 1.3).gateway
     assert [(bus.dead, bus.synced) for bus in gateway.buses] == [(False, False), (True, False)]

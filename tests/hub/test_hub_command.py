@@ -103,11 +103,11 @@ def test_a_denial_is_told_once_with_who_and_what(tmp_path: Path) -> None:
     assert sorted(lines) == sorted(
         [
             "palm:client may not subscribe 'canskin/**'",
-            "palm:client may not answer 'zero': gateway may",
-            "palm:client may not appear as 'gateway': gateway may",
-            "palm:client may not put 'label': classifier may",
+            "palm:client may not answer 'zero': gateway, run may",
+            "palm:client may not appear as 'gateway': gateway, run may",
+            "palm:client may not put 'label': classifier, run may",
             rf"palm:client may not put '\x1b[2m{'x' * 93}'",
-            "palm:client may not ask 'calibration': ros2, operator may",
+            "palm:client may not ask 'calibration': run, ros2, operator may",
             "palm:client:lost may do nothing: these keys are revoked",
             "keys that are not in the list of holders may do nothing: copy the hub's keys here, and start it again",
             "palm:client may not put 'canskin/hand/image'",
@@ -147,7 +147,7 @@ def test_a_program_that_invents_names_fills_no_log_and_imitates_no_other() -> No
     assert len(said) == MOST_LINES + 2
     assert said[0] == "palm:client may not put 'a'"
     assert said[-2] == "palm:client: no more names that it invents are told"
-    assert said[-1] == "palm:client may not put 'image': reconstructor may"  # names of the fabric are always told
+    assert said[-1] == "palm:client may not put 'image': reconstructor, run may"  # names of the fabric are always told
     denials.take(denied("canskin/palm/image"))
     assert said[MOST_LINES + 2 :] == said[-1:]
     assert said[-1] == said[-2]

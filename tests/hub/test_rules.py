@@ -140,9 +140,9 @@ def test_a_program_is_told_its_role_what_it_may_not_and_who_may(hub: Hub) -> Non
             lambda: fabric.ask(CALIBRATION, tare_request(1, 1), PATIENCE_S),
             lambda: fabric.answer(CALIBRATION, lambda _request, _reply: None),
         ):
-            with pytest.raises(BusError, match=r"role 'viewer' may not .*, .*'(operator|gateway)' may: see 'skin keys"):
+            with pytest.raises(BusError, match=r"role 'viewer' may not .*, .*'(operator|run)' may: see 'skin keys"):
                 refused()
-    with pytest.raises(BusError, match="may not subscribe 'truth', 'viewer', 'recorder', 'operator' may"):
+    with pytest.raises(BusError, match="may not subscribe 'truth', 'run', 'viewer', 'recorder', 'operator' may"):
         Fabric(
             "palm",
             "client",
@@ -150,7 +150,7 @@ def test_a_program_is_told_its_role_what_it_may_not_and_who_may(hub: Hub) -> Non
             keys=Keys(hub.folder / "client"),
             prepare=lambda it: it.subscribe(TRUTH, print),
         )
-    with pytest.raises(BusError, match="role 'viewer' may not appear as 'gateway', 'gateway' may"):
+    with pytest.raises(BusError, match="role 'viewer' may not appear as 'gateway', 'gateway', 'run' may"):
         Fabric("palm", "gateway", hub.endpoint, keys=keys)
     with pytest.raises(BusError, match=r"keys .*viewer: they are of skin 'palm', not of 'hand'"):
         Fabric("hand", "viewer", hub.endpoint, keys=keys)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dbc.contract import Contract
-from dbc.dictionary import REACTION_NS
+from dbc.dictionary import REACTION_NS, WINDOWS_MET
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE, Frames
 from nodes.segment import Segment
 from tests.bus.harness import frame
@@ -138,6 +138,11 @@ def test_dropped_outside_the_window_is_counted_and_reported(segment: Segment, li
     # The dropped TPDOs are in the upper half; boards in C report the first at once.
     assert read(segment, link, 1, 0x1003, 1) in {0x0002_FF10, 0x0001_FF10}
     assert (segment.frames_sent, segment.frames_dropped) == (0, 2)
+    for counter in range(2, 2 + WINDOWS_MET):
+        assert read(segment, link, 1, 0x1001) == 0x81
+        give(segment, link, sync(counter))
+    segment.tick(2e6)
+    assert [one["data"][:8].tobytes()[:5] for one in link.take_sent() if one["can_id"] == 0x81] == [b"\0\0\0\x10\xff"]
 
 
 def test_only_a_tpdo_that_comes_back_unsent_is_a_missed_window(segment: Segment, link: ArrayLink) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from canskin import session
 from canskin.errors import BusError, InputError, LayoutError
 from canskin.fabric import Fabric
 from shell import skin_options
@@ -61,6 +62,16 @@ def test_several_skins_need_a_name(endpoint: str, one_look: None) -> None:
         assert SkinOptions(connect=endpoint, skin="hand").find() == HAND
         with pytest.raises(BusError, match=r"no skin 'foot' at .*, found 'hand', 'palm': start 'skin gateway'"):
             SkinOptions(connect=endpoint, skin="foot").find()
+
+
+def test_who_waits_for_the_hub_is_named(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(session, "tell", lambda *words: told.append(": ".join(words)))
+    monkeypatch.setattr(session, "SILENT_S", 0.0)
+    monkeypatch.setattr(skin_options, "PATIENCE_S", 0.6)
+    with pytest.raises(BusError, match="no hub at"):
+        SkinOptions(connect=endpoint).find("viewer")
+    assert told == [f"viewer: waits for the fabric's hub at {endpoint}, usually 'skin gateway'"]
 
 
 @pytest.mark.parametrize("service", ["reconstructor", "viewer"])

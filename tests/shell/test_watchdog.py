@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -97,3 +98,21 @@ def test_each_kernel_that_is_compiled_is_a_sign_of_life(monkeypatch: pytest.Monk
     outer = compiled.njit()(lambda number: inner(number) * 2)
     assert outer(1) == 4
     assert len(signs) >= 4  # begin and end of each
+
+
+def test_a_process_of_several_services_lives_while_each_of_them_does() -> None:
+    watchdog, signs = Watchdog(), list[str]()
+    watchdog.services = {"gateway", "view"}
+    watchdog._tell = signs.append  # type: ignore[method-assign]
+    watchdog._socket = "somewhere"
+
+    def feed(name: str) -> None:
+        thread = threading.Thread(target=watchdog.feed, name=name)
+        thread.start()
+        thread.join()
+
+    for name in ("gateway", "gateway", "view", "view", "view"):
+        feed(name)
+    assert signs == ["READY=1"]
+    feed("gateway")
+    assert signs == ["READY=1", "WATCHDOG=1"]

@@ -57,10 +57,9 @@ def test_the_files_are_valid_by_the_compose_specification() -> None:
 def test_each_profile_is_a_whole_skin_in_the_order_of_the_data(services: dict[str, Service]) -> None:
     assert list(of_profile(services, "virtual")) == IN_ORDER_OF_THE_DATA
     # A host with CAN needs no virtual bus, a robot no virtual nodes: they would answer as its boards.
-    robot = [f"{name}-can" for name in IN_ORDER_OF_THE_DATA[2:]]
-    assert list(of_profile(services, "robot")) == robot
-    assert list(of_profile(services, "vcan")) == ["nodes-vcan", *robot]
-    assert len(services) == 11
+    assert list(of_profile(services, "robot")) == ["skin-can"]
+    assert list(of_profile(services, "vcan")) == ["nodes-vcan", "skin-can"]
+    assert len(services) == 8
     assert SETTINGS["COMPOSE_PROFILES"] == "virtual"
 
 
@@ -87,8 +86,8 @@ def test_with_keys_every_service_of_a_robot_has_those_of_a_role(services: dict[s
     folders = {Path(service["environment"]["SKIN_KEYS"]) for service in changed.values()}
     assert len(folders) == len(changed)
     assert {folder.name for folder in folders} <= {"hub", *ROLES}
-    listening = services["gateway-can"]["command"].replace("--listen", "--connect")
-    assert changed["gateway-can"]["command"] == listening
+    listening = services["skin-can"]["command"].replace("--listen", "--connect")
+    assert changed["skin-can"]["command"] == listening
 
 
 def test_every_setting_is_used(services: dict[str, Service]) -> None:

@@ -13,7 +13,7 @@ from canskin.errors import SkinError
 from canskin.fabric import Fabric
 from canskin.peers import Peer
 from canskin.session import Stop
-from health.causes import Cause
+from health.causes import INFO, Cause
 from health.feed import Feed
 from shell.service import say
 from shell.skin_options import hub_layout, join, knows_layout
@@ -64,6 +64,8 @@ class Exporter(Collector):
         self._skins: dict[str, _Skin] = {}
         self._fingerprints: dict[str, str] = {}
         self._again_s: dict[str, float] = {}
+        #: Skin, code, level and subject of each cause at the newest look.
+        self._told: set[tuple[str, ...]] = set()
         disable_created_metrics()
         words = "Time from SYNC to the publication of an image."
         self._latencies = Histogram(LATENCY, words, ("skin",), buckets=BUCKETS_S, registry=None)
@@ -91,9 +93,14 @@ class Exporter(Collector):
             )
             for name, (labels, words) in FIGURES.items()
         }
+        told, self._told = self._told, set()
         for skin, joined in list(self._skins.items()):
             for name, labels, value in joined.figures():
                 families[name].add_metric((skin, *labels), value)
+                if name == "canskin_cause" and INFO not in labels:
+                    self._told.add((skin, *labels))
+        for skin, code, _, subject in sorted(self._told - told):
+            say(SERVICE, f"skin '{skin}': {Cause.of(code).sees}{f': {subject}' * bool(subject)} [{code}]")
         words = "Each cause: what is seen, and what to do."
         causes = GaugeMetricFamily("canskin_cause_info", words, labels=("code", "sees", "mend"))
         for cause in Cause:
@@ -108,7 +115,7 @@ class Exporter(Collector):
         if now_s < self._again_s.get(peer.skin, now_s) or (known is None and len(self._skins) >= SKINS_MAX):
             return
         try:
-            layout = hub_layout(self._endpoint, peer.skin, stop)
+            layout = hub_layout(self._endpoint, peer.skin, stop, service=SERVICE)
             observe = self._latencies.labels(peer.skin).observe
             figures = SkinFigures(layout, self._expected, observe, time.time() - time.monotonic())
             skin = _Skin(layout, figures, self._endpoint, stop)

@@ -115,12 +115,12 @@ def monitor(*, of: SkinOptions | None = None) -> None:
     skin monitor --connect tcp/10.0.0.5:7447
     """
     of = of or SkinOptions()
-    skin = of.find()
+    skin = of.find(SERVICE)
     require_boards(skin)
     stop = StopSignal().install()
     pulse = Pulse(stop)
     with closing(of.join(skin, SERVICE, pulse, PATIENCE_S)) as fabric:
-        pulse.fabric, watched, console = fabric, Watched(skin, fabric, TOPICS), Console()
+        pulse.fabric, watched, console = fabric, Watched(skin, fabric, TOPICS, polled=True), Console()
         if not sys.stdout.isatty() or console.is_dumb_terminal:
             print_once(watched, stop)
             return

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import zip_longest
 from textwrap import wrap
 from typing import Final
@@ -67,7 +68,7 @@ def body(state: Snapshot, shown: str, width: int) -> list[Line]:
     if is_all or is_wrong or shown == "n":
         lines += _troubled(state)
     if is_all or shown == "n":
-        lines += _nodes(state, width)
+        lines += _nodes(tuple(state.gateway.buses if state.gateway else ()), width)
     return lines or [("nothing is wrong", "green")]
 
 
@@ -84,15 +85,19 @@ def _head(state: Snapshot) -> list[Text]:
         head.append(f"{label.label} {label.confidence:.0%}" if label.label else "untouched")
     if (patch := next(iter(state.patches), None)) is not None and patch.force_n is not None:
         head.append(f"{_GAP}{patch.force_n:.3g} N")
-    rates = [_clock(state.time_s)]
+    rates = [_clock(state.time_s)]  # all within 80 columns
     if gateway is not None and not gateway.stale:
-        rates.append(f"SYNC {gateway.sync_rate_hz:.1f} Hz")
-    rates.append(f"images {figures.images_hz:.1f}/s")
+        rates.append(f"SYNC {_rate(gateway.sync_rate_hz)} Hz")
+    rates.append(f"{_rate(figures.images_hz)} images/s")
     if figures.latency_p50_s is not None and figures.latency_p99_s is not None:
-        rates.append(f"latency {1e3 * figures.latency_p50_s:.1f} ms, p99 {1e3 * figures.latency_p99_s:.1f} ms")
+        rates.append(f"{1e3 * figures.latency_p50_s:.1f} ms, p99 {1e3 * figures.latency_p99_s:.1f} ms")
     if figures.valid_blocks_low is not None:
-        rates.append(f"blocks {figures.valid_blocks} of {figures.blocks}, least {figures.valid_blocks_low}")
+        rates.append(f"least {figures.valid_blocks_low}/{figures.blocks} blocks")
     return [head, Text(f" {_GAP.join(rates)}")]
+
+
+def _rate(rate_hz: float) -> str:
+    return f"{rate_hz:.0f}" if rate_hz >= 10 else f"{rate_hz:.1f}"
 
 
 def _keys(shown: str, above: int, below: int) -> Text:
@@ -162,10 +167,11 @@ def _troubled(state: Snapshot) -> list[Line]:
     return _table(["not whole", "", "state", "answers", "heartbeats", "missing", "cause", "since", "why"], rows)
 
 
-def _nodes(state: Snapshot, width: int) -> list[Line]:
+@lru_cache(maxsize=1)
+def _nodes(buses: tuple[BusView, ...], width: int) -> list[Line]:
     """Return the nodes that are whole, as many in a line as have room."""
     rows = []
-    for bus in state.gateway.buses if state.gateway else ():
+    for bus in buses:
         troubled = {each.node for each in bus.nodes_why}
         for place, node in enumerate(bus.nodes):
             if node not in troubled:
@@ -201,7 +207,7 @@ def _services(state: Snapshot, *, all_of: bool) -> list[Line]:
             ]
             about = [_since(each.since_time_s, state.time_s), each.scheduling, each.version]
             rows.append((_STYLES[level], [name, word, *told, str(each.lost), *about]))
-    headings = ["service", "", "memory", "core", "made", "lost", "since", "scheduling", "version"]
+    headings = ["service", "", "memory", "core", "made", "lost", "seen since", "scheduling", "version"]
     return _table(headings, rows)
 
 

@@ -79,7 +79,7 @@ def view(
             playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
             _serve(build_app(playback, access, playback_actions(playback)), access, listener, pulse)
             return
-        skin = of.find(stop)
+        skin = of.find("viewer", stop)
         require_boards(skin)
         fabric = pulse.fabric = closes.enter_context(closing(of.join(skin, "viewer", pulse)))
         if stop.is_set():
@@ -107,7 +107,7 @@ def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
 
 
 class _Server(uvicorn.Server):
-    """Logs the address of the page, with its token, when the page can be opened; `pulse` beats while it serves."""
+    """Logs the address of the page, with its token, when the page can be opened; `pulse` beats and says when to end."""
 
     token = ""
     pulse: Pulse
@@ -120,9 +120,8 @@ class _Server(uvicorn.Server):
             say("viewer", f"web page at http://{f'[{host}]' if ':' in host else host}:{port}/?token={self.token}")
 
     async def on_tick(self, counter: int) -> bool:
-        """Beat; uvicorn calls it ten times a second."""
-        self.pulse.beat()
-        return await super().on_tick(counter)
+        """Beat, and tell whether to end; uvicorn calls it ten times a second, and in a main thread has the signals."""
+        return self.pulse.is_set() or await super().on_tick(counter)
 
 
 def server_config(app: Starlette) -> uvicorn.Config:

@@ -44,7 +44,6 @@ class Bridge:
         *,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._clock_s = clock_s
         self._state = ViewState(layout, time.time() - clock_s(), SERVICE)
         self._translator = Translator(layout, frame, self._state)
         self._publishers = {topic: node.publisher(topic) for topic in ROS_TOPICS}

@@ -61,7 +61,7 @@ def ros2(
         check_namespace(namespace)
     stop = StopSignal().install()
     pulse = Pulse(stop)
-    skin = of.find(stop)
+    skin = of.find(SERVICE, stop)
     require_boards(skin)
     space = check_namespace(skin.name if namespace is None else namespace)
     with closing(of.join(skin, SERVICE, pulse)) as fabric:

@@ -60,7 +60,7 @@ def show(
     open_canvas = _opener(target, for_rerun=rerun, insecure=insecure)
     stop, of = StopSignal().install(), of or SkinOptions()
     pulse = Pulse(stop)
-    skin = of.find(stop)
+    skin = of.find(SERVICE, stop)
     require_boards(skin)
     with (
         closing(of.join(skin, SERVICE, pulse)) as fabric,

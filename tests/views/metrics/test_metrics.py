@@ -22,6 +22,7 @@ from shell.service import listen
 from skin.layout import layout_text
 from tests.health.helpers import Messages
 from tests.layouts import buses, small_layout
+from tests.messages import service_status
 from views.metrics import server
 from views.metrics.command import EXPECTED
 from views.metrics.exporter import Exporter
@@ -29,17 +30,8 @@ from views.metrics.server import serving
 from views.metrics.skin_figures import CAUSES_MAX, SkinFigures
 
 
-def status(
-    processor_s: float, service: str = "reconstructor", instance: str = "reconstructor", overruns: int = 0
-) -> ServiceStatus:
-    return ServiceStatus(
-        time_ns=0,
-        service=service,
-        instance=instance,
-        memory_bytes=1 << 20,
-        processor_s=processor_s,
-        missed=3,
-    )
+def status(processor_s: float, service: str = "reconstructor", instance: str = "reconstructor") -> ServiceStatus:
+    return service_status(0, service, instance, processor_s=processor_s, missed=3)
 
 
 def values(figures: SkinFigures, name: str, now_s: float = 0.0) -> dict[tuple[str, ...], float]:
@@ -161,7 +153,7 @@ def gateway(messages: Messages, endpoint: str, *, hub: bool = False) -> Fabric:
 
 
 @pytest.mark.heavy
-def test_one_exporter_shows_all_skins_of_a_hub(endpoint: str) -> None:
+def test_one_exporter_shows_all_skins_of_a_hub(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     palm, back = Messages(), Messages(small_layout(16, 16, name="back", bus=buses(4, 4, names=("left", "right"))))
     exporter, registry, stop = Exporter(endpoint, EXPECTED), CollectorRegistry(), threading.Event()
     registry.register(exporter)
@@ -184,6 +176,7 @@ def test_one_exporter_shows_all_skins_of_a_hub(endpoint: str) -> None:
             await_text(port, r'canskin_up{service="gateway",skin="back"} 0.0')
         text = await_text(port, r'canskin_up{service="gateway",skin="palm"} 0.0')
         await_text(port, r'canskin_cause{code="hub-away",level="error",skin="palm",subject="hub"} 1.0')
+        assert "skin 'palm': nothing arrives: hub [hub-away]" in capsys.readouterr().err
         assert 'canskin_cycles_total{skin="palm"} 10.0' in text
         stop.set()
         running.join()

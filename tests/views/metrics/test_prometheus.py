@@ -29,7 +29,9 @@ SCENES: dict[str, tuple[dict[str, str], str]] = {
     "CanskinServiceDown": ({'canskin_up{skin="palm", service="reconstructor"}': "1x3 0x20"}, "75s"),
     "CanskinError": ({f"canskin_cause{CAUSE % ('bus-off', 'error')}": "1x20"}, "30s"),
     "CanskinWarning": ({f"canskin_cause{CAUSE % ('node-silent', 'warning')}": "1x20"}, "90s"),
-    "CanskinNotStarted": ({f"canskin_cause{CAUSE % ('starting', 'info')}": "1x90"}, "11m"),
+    "CanskinNotStarted": (  # an optional board may be away for ever
+        {f"canskin_cause{CAUSE % (code, 'info')}": "1x90" for code in ("starting", "node-away")}, "11m"
+    ),
     "CanskinBusLoad": ({'canskin_bus_load_ratio{skin="palm", bus="left"}': "0.93x40"}, "5m"),
     "CanskinLatency": (
         {

@@ -88,13 +88,23 @@ def test_all_that_is_known_is_in_a_large_terminal() -> None:
     clock = time.strftime("%H:%M:%S", time.localtime(1002.0))
     seen = (
         "palm +nothing is wrong +golf-ball 93% +.* N",
-        f"{clock} +SYNC 100.0 Hz +images 10.0/s +latency 5.0 ms, p99 5.0 ms +blocks 8 of 8, least 8",
+        f"{clock} +SYNC 100 Hz +10 images/s +5.0 ms, p99 5.0 ms +least 8/8 blocks",
         "left +█{6}░{4} +62% +0% +active +4 of 4 +0 +0 +0",
         "reconstructor +runs +1 MiB +50.0% +100.0/s +0 +[0-9:]{8} +realtime",
         "right +4 +1-3 ms +400-600 ms +0",
     )
     for each in seen:
         assert re.search(each, text), each
+
+
+def test_the_figures_of_a_large_and_slow_skin_are_whole_at_80_columns() -> None:
+    state = healthy().snapshot(2.0)[0]
+    figures = msgspec.structs.replace(
+        state.figures, images_hz=199.96, latency_p50_s=0.0123, latency_p99_s=0.0345, blocks=128, valid_blocks_low=127
+    )
+    gateway = msgspec.structs.replace(state.gateway, sync_rate_hz=199.91)
+    line = drawn(msgspec.structs.replace(state, figures=figures, gateway=gateway), size=SIZES[0])[1]
+    assert line.endswith("SYNC 200 Hz  200 images/s  12.3 ms, p99 34.5 ms  least 127/128 blocks")
 
 
 def test_what_is_wrong_is_told_with_its_cause_its_begin_and_what_to_do() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canskin.fabric import Fabric
-from canskin.messages import MARK, Mark
+from canskin.messages import MARK, Mark, NodeEmergency
 from health.snapshot import PlaybackState
 from tests.browser import CHROMIUM, Browser
 from tests.views.page.conftest import Chain, Server
@@ -393,12 +393,14 @@ def test_pointer_names_force_block_and_node(page: Browser, messages: Any) -> Non
 
 
 def test_a_node_says_since_when_and_why(page: Browser, chain: Chain) -> None:
-    chain.gateway = {"nmt": ((5, 255, 5, 5), (5, 5, 5, 5))}
+    told = tuple(NodeEmergency(node, 0x8130 + node, 0) for node in (1, 2, 2, 2))
+    chain.gateway = {"nmt": ((5, 255, 5, 5), (5, 5, 5, 5)), "emergencies": told}
     page.until(lambda: "node 2 silent" in page.text("#notices"), "no notice")
     page.ask("document.querySelector('#buses .tile').focus()")
     press(page, "ArrowRight")
     page.until(lambda: "node 2 silent since" in page.text("#buses .detail"), "the keyboard does not reach the node")
     assert re.search(r"node 2 silent since \d\d:\d\d:\d\d, [\d.]+ s", page.text("#buses .detail"))
+    assert re.search(r"( · EMCY 8132h at \d\d:\d\d:\d\d){2}$", page.text("#buses .detail"))
     assert page.ask("document.activeElement.ariaLabel").startswith("left, node 2: silent since ")
     page.ask("document.activeElement.blur()")
     page.until(lambda: page.text("#buses .detail") == "3 of 4 nodes operational", "the sum did not come back")

@@ -12,6 +12,8 @@ const COUNTERS = [
   ["foreign", "other frames"],
 ];
 
+// Newest emergencies that are told of a node.
+const EMERGENCIES = 2;
 const CARD_PX = 250;
 
 /** Cards beside each other: as many as leave the least empty places in the last line. */
@@ -130,7 +132,9 @@ export class Buses {
       const state = seen.dead ? "unknown" : isRefused ? "refused" : heard;
       operational += state === "operational";
       const lost = [[seen.missing[place], "missing"], [seen.late[place], "late"]].filter(([frames]) => frames > 0);
-      const counted = lost.map(([frames, how]) => ` · ${count(frames)} frames ${how}`).join("");
+      const emergencies = seen.emergencies.filter((each) => each.node === node).slice(-EMERGENCIES);
+      const told = emergencies.map(({ code, time_ns }) => `${code.toString(16).toUpperCase().padStart(4, "0")}h at ${clock(1e-9 * time_ns)}`);
+      const counted = [...lost.map(([frames, how]) => ` · ${count(frames)} frames ${how}`), ...told.map((each) => ` · EMCY ${each}`)].join("");
       if (tile) this.drawNode(tile, { bus, node, state, counted, trouble: troubles.get(node) });
     });
     const nodes = seen.dead ? "dead: no node can be heard" : `${operational} of ${seen.nodes.length} nodes operational`;

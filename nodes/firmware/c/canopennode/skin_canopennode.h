@@ -47,7 +47,9 @@ int skin_app_init(void);
  */
 void skin_app_sync(skin_reading *readings, uint16_t samples, uint8_t counter);
 
-/* Count a TPDO that could not be sent within the window (1007h); the application reports EMCY FF10h. */
+/* Count a TPDO that could not be sent within the window (1007h); the application reports EMCY FF10h,
+ * and EMCY 0000h after SKIN_WINDOWS_MET SYNCs without one.
+ */
 void skin_app_dropped(void);
 
 #else

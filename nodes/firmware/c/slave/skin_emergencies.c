@@ -71,6 +71,9 @@ int skin_take_sync(skin_node *node, const skin_frame *sync)
     }
     if (node->state == SKIN_OPERATIONAL) {
         node->health[0]++;
+        if (node->health[0] - node->missed_at >= SKIN_WINDOWS_MET) {
+            skin_settle(node, SKIN_ERROR_WINDOW);
+        }
         if (sync->length == expected) {
             skin_settle(node, SKIN_ERROR_SYNC_LENGTH);
         } else {

@@ -121,6 +121,7 @@ typedef struct {
     skin_watch watched[SKIN_WATCHED];
     uint32_t heartbeat_ms, heartbeat_due_ms;
     uint8_t active[SKIN_ERRORS];
+    uint32_t missed_at; /* health[0] at the newest missed window */
     uint32_t history[SKIN_ERRORS_KEPT]; /* 1003h, newest first */
     uint8_t history_count;
     uint8_t waiting[SKIN_ERRORS_KEPT][8]; /* emergencies, oldest first */

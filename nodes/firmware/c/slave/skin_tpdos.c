@@ -183,6 +183,7 @@ void skin_given_up(skin_node *node, const skin_frame *frame)
 {
     if (is_tpdo(node, frame)) {
         node->health[2]++;
+        node->missed_at = node->health[0];
         skin_raise(node, SKIN_ERROR_WINDOW, node->health[2]);
     }
 }
