@@ -7,7 +7,7 @@ import errno
 import select
 import socket
 from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -40,12 +40,12 @@ _NOTHING: Final = (errno.EAGAIN, errno.EINTR)
 _SECOND_NS: Final = 1_000_000_000
 _CLOCK_MONOTONIC: Final = 1
 
-_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
-_nanosleep = types.ExternalFunction("nanosleep", types.int32(types.intp, types.intp))
-_ppoll = types.ExternalFunction("ppoll", types.int32(types.intp, types.uint64, types.intp, types.intp))
-_send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.uint64, types.int32))
-_recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.uint64, types.int32))
-_errno = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
+_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+_nanosleep: Any = types.ExternalFunction("nanosleep", types.int32(types.intp, types.intp))
+_ppoll: Any = types.ExternalFunction("ppoll", types.int32(types.intp, types.uint64, types.intp, types.intp))
+_send: Any = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.uint64, types.int32))
+_recv: Any = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.uint64, types.int32))
+_errno: Any = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
 
 
 @runtime_checkable
@@ -131,8 +131,7 @@ def read_packets(told: Integers, rows: Bytes, packet: Bytes) -> None:
     while count + MAX_FRAMES <= rows.shape[0]:
         size = _recv(told[FD], packet.ctypes.data, packet.size, _DONTWAIT)
         if size < 0:
-            code = carray(_errno(), 1)[0]
-            told[HAS_FAILED] = code not in _NOTHING
+            told[HAS_FAILED] = carray(_errno(), 1)[0] not in _NOTHING
             break
         frames = field(packet, _FRAMES_AT, 2)
         if size != _HEADER_BYTES + frames * _FRAME_BYTES or field(packet, 0, 4) != _MAGIC:
@@ -181,10 +180,10 @@ def send_packet(rows: Bytes, queue_size: int, told: Integers, sent: Integers, pa
     packet[_KIND_AT], packet[_FRAMES_AT], packet[_FRAMES_AT + 1] = _FRAMES, frames & 0xFF, frames >> 8
     if _send(told[FD], packet.ctypes.data, size, _DONTWAIT) == size:
         return frames
-    code = carray(_errno(), 1)[0]
+    has_failed = carray(_errno(), 1)[0] not in _NOTHING
     for place in range(frames):
         sent[field(rows[place], PORT_AT, 2)] -= 1
-    return 0 if code in _NOTHING else -1
+    return -1 if has_failed else 0
 
 
 def arrived_in(told: Integers, rows: Bytes) -> Frames:

@@ -178,8 +178,8 @@ class SteppedGathering:
         bus.newest_ns = max(bus.newest_ns, newest_ns)
         if newest_ns > self._newest_ns:
             self._newest_ns = newest_ns
-            is_known = stamp_error_ns is not None
-            self._newest_error_ns = taken_ns + SAMPLE_NS + stamp_error_ns if is_known else UNKNOWN_ERROR_NS
+            error_ns = stamp_error_ns
+            self._newest_error_ns = UNKNOWN_ERROR_NS if error_ns is None else taken_ns + SAMPLE_NS + error_ns
         self._has_news |= newest_ns > NEVER_NS
 
     def begin(self, sync: Sync) -> list[Measurement]:
