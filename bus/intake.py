@@ -11,7 +11,12 @@ from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from numba import carray, int64, types, uint8
+from numba import (
+    carray,  # type: ignore[attr-defined]  # numba exports it
+    int64,
+    types,
+    uint8,
+)
 
 from bus.link import Link
 from bus.protocol import HEADER, MAGIC, MAX_FRAMES, MAX_PACKET, MAX_PORTS, Kind
@@ -45,7 +50,7 @@ _nanosleep: Any = types.ExternalFunction("nanosleep", types.int32(types.intp, ty
 _ppoll: Any = types.ExternalFunction("ppoll", types.int32(types.intp, types.uint64, types.intp, types.intp))
 _send: Any = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.uint64, types.int32))
 _recv: Any = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.uint64, types.int32))
-_errno: Any = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
+_errno: Any = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())  # type: ignore[no-untyped-call]
 
 
 @runtime_checkable
