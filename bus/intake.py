@@ -11,12 +11,8 @@ from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from numba import (
-    carray,  # type: ignore[attr-defined]  # numba exports it
-    int64,
-    types,
-    uint8,
-)
+from numba import int64, types, uint8
+from numba.np.numpy_support import carray
 
 from bus.link import Link
 from bus.protocol import HEADER, MAGIC, MAX_FRAMES, MAX_PACKET, MAX_PORTS, Kind
