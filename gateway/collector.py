@@ -311,6 +311,7 @@ class Collector:
         # What runs in each cycle is compiled before the first.
         self.open(1)
         self.take(batch_of(frames(0), 0, self._table), None)
+        self.is_settled(1)
         self.close(1)
         self._begin_anew()
 

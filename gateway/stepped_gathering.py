@@ -27,10 +27,12 @@ RATES_HZ: Final = (250.0, 10.0)
 RATE_MAX_HZ: Final = 1000.0
 RATE_MIN_HZ: Final = 1.0
 #: Boards near a touch send one after the other in each slot, and rest then: a measurement is made this long after the
-#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later.
-AFTER_NEWEST_S: Final = 0.0004
-SOONER_S: Final = 0.0002
+#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later; both count
+#: from when the one before was due, if its turn was late by at most `LATE_S`.
+AFTER_NEWEST_S: Final = 0.0005
+SOONER_S: Final = 0.0003
 LATER_S: Final = 0.0001
+LATE_S: Final = 0.001
 #: Longest time for which frames wait unread: a request for a missing group waits for its turn, too.
 REST_MAX_S: Final = 0.02
 
@@ -108,7 +110,7 @@ class SteppedGathering:
         #: Bound of the age of its sample, with the error of its time stamp.
         self._newest_error_ns = UNKNOWN_ERROR_NS
         self._published_s, self._has_news = now_s, False
-        #: When the next measurement comes; not before `_earliest_s`, so that no more come than are asked for.
+        #: When the next measurement comes; not before `_earliest_s`, so that hardly more come than are asked for.
         self._next_s = self._earliest_s = now_s
         # What runs for each frame is compiled before the first comes.
         self.take(batch_of(frames(0), next(iter(masters)), self._table), Health(), now_s)
@@ -187,9 +189,10 @@ class SteppedGathering:
     def measure(self, now_s: float, wall_offset_ns: int) -> SteppedMeasurement:
         """Return a measurement, due or not."""
         self._published_s, self._has_news = now_s, False
-        self._earliest_s = max(self._earliest_s + self._shortest_s, now_s)
+        self._earliest_s = max(self._earliest_s, now_s - 2 * self._shortest_s) + self._shortest_s
         sooner_s = min(max(now_s - 1e-9 * self._newest_ns - AFTER_NEWEST_S, -LATER_S), SOONER_S)
-        self._next_s = max(self._earliest_s, now_s + self._shortest_s - sooner_s)
+        due_s = max(self._next_s, now_s - LATE_S)
+        self._next_s = max(self._earliest_s, due_s + self._shortest_s - sooner_s)
         self._judge(now_s)
         shown = self._shown
         self.published += 1
