@@ -1,11 +1,11 @@
 """Fault confinement (ISO 11898-1): error counters, error-passive and bus-off controllers, and their recovery."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
+from bus.arbitration import PARKED_NS
 from bus.controller import Controller
 from bus.error_frames import State, ack_report, bit_report, state_report
-from bus.pending import Waiting
 from bus.station import Station, Stations
 from bus.transmit_queues import TransmitQueues
 from dbc.frame_bits import nominal_ns
@@ -52,33 +52,31 @@ class Confinement:
             self._disturbed.pop(controller, None)
         self._recovering = [one for one in self._recovering if one.station != station.number]
 
-    def frame_failed(self, items: Sequence[Waiting], ended_ns: int, free_ns: int, *, unacknowledged: bool) -> None:
+    def frame_failed(
+        self, senders: Mapping[Controller, int], ended_ns: int, free_ns: int, *, unacknowledged: bool
+    ) -> None:
         """Count the error of a frame, report it to the senders, and queue the frame again.
 
         Parameters
         ----------
-        items : sequence of Waiting
-            The frame in the transmit queue of each of its senders.
+        senders : mapping of Controller to int
+            Place of the frame of each of its senders among the queued frames.
         ended_ns, free_ns : int
             End of the error frame, and of the intermission behind it.
         unacknowledged : bool
             Whether the error is a missing acknowledgement.
         """
-        senders = {item.controller for item in items}
         for controller in self._stations.controllers():
             if controller in senders:
                 controller.transmit_failed(unacknowledged=unacknowledged)
             elif controller.takes_part and not unacknowledged:
                 controller.receive_failed()
         report = ack_report if unacknowledged else bit_report
-        for item in items:
-            sender = item.controller
+        for sender, place in senders.items():
             self._queues.post_report(sender, ended_ns, report(sender.transmit_errors, sender.receive_errors))
-            if unacknowledged and sender.state is State.PASSIVE:
-                self._queues.pending.park(item)  # no retry until another controller joins
-            else:
-                self._queues.pending.add(item, free_ns)
-        self.judge(self._stations.controllers(), senders, ended_ns, free_ns)
+            is_parked = unacknowledged and sender.state is State.PASSIVE  # no retry until another controller joins
+            self._queues.delay(place, PARKED_NS if is_parked else free_ns)
+        self.judge(self._stations.controllers(), senders.keys(), ended_ns, free_ns)
 
     def frame_ended(self, senders: Collection[Controller], start_ns: int, ended_ns: int, free_ns: int) -> None:
         """Decrease the error counters of the senders and receivers of a good frame."""
@@ -121,9 +119,9 @@ class Confinement:
 
     def _go_off(self, controller: Controller, time_ns: int) -> None:
         self._disturbed.pop(controller, None)
-        self._queues.discard(self._queues.pending.withdraw(controller), time_ns)
+        self._queues.discard(self._queues.withdraw(controller.station, controller.port), time_ns)
         controller.restart_ns = time_ns + self._restart_ns
         controller.recover_ns = controller.restart_ns + nominal_ns(RECOVERY_BITS, self._bitrate)
         self._recovering.append(controller)
         self._stations.refresh()
-        self._queues.pending.unpark(time_ns)
+        self._queues.unpark(time_ns)

@@ -15,8 +15,6 @@ class Controller:
         ``STATION:PORT``; faults select controllers by this name.
     station, port : int
         Number of its connection, and its number on this connection.
-    waiting : int
-        Frames in its transmit queue.
     off : bool
         No power: the controller neither sends nor acknowledges.
     suspended_until_ns : int
@@ -28,7 +26,6 @@ class Controller:
     name: str
     station: int
     port: int
-    waiting: int = 0
     transmit_errors: int = 0
     receive_errors: int = 0
     off: bool = False

@@ -1,20 +1,27 @@
 """Frames and reports for the stations, kept until their time."""
 
-from bisect import bisect_left
-from collections.abc import Iterable
-from itertools import count
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import ECHO, ERROR, FRAME, Frames, frames
+from bus.arbitration import (
+    AUDIENCE,
+    DISCARDED,
+    EVENT_WORDS,
+    EXPIRES,
+    FOREVER_NS,
+    FRAME_WORDS,
+    OTHERS,
+    OWNED_BY,
+    OWNER,
+    TIME,
+    Words,
+    words,
+)
+from dbc.frame import FRAME, Frames, frames
 
-#: Receivers of a record: all other stations, the station that sent the frame, or both.
-OTHERS: Final = 1
-OWNER: Final = 2
-#: Flags of a frame that left its transmit queue unsent.
-DISCARDED: Final = ECHO | ERROR
+__all__ = ["DISCARDED", "OTHERS", "OWNER", "Events", "Outbox"]
 
 
 class Events(NamedTuple):
@@ -26,7 +33,7 @@ class Events(NamedTuple):
         `time_ns` is the end of frame, `port` the controller's number at its station. ECHO is not set.
     owner : array of int, shape (n,)
         Number of the station that sent the frame, or that receives the report.
-    audience : array of uint8, shape (n,)
+    audience : array of int, shape (n,)
         OTHERS, OWNER or both.
     plain : bool
         Whether all records are frames for all stations.
@@ -34,53 +41,51 @@ class Events(NamedTuple):
 
     frames: Frames
     owner: npt.NDArray[np.int64]
-    audience: npt.NDArray[np.uint8]
+    audience: npt.NDArray[np.integer]
     plain: bool
 
 
-_NOTHING: Final = Events(frames(0), np.zeros(0, np.int64), np.zeros(0, np.uint8), plain=True)
-
-
-def records_of(burst: Frames) -> list[bytes]:
-    """Return the records of frames one by one, as bytes."""
-    packed, size = burst.tobytes(), FRAME.itemsize
-    return [packed[first : first + size] for first in range(0, len(packed), size)]
-
-
-def burst_of(records: Iterable[bytes]) -> Frames:
-    """Return the frames of which these are the records."""
-    return np.frombuffer(bytearray(b"".join(records)), FRAME)
+_NOTHING: Final = Events(frames(0), np.zeros(0, np.int64), np.zeros(0, np.int64), plain=True)
 
 
 class Outbox:
-    """Records with their times, until they are collected."""
+    """Records with their times, until they are collected.
+
+    Attributes
+    ----------
+    next_ns : int or None
+        The earliest time of all posted records.
+    """
 
     def __init__(self) -> None:
-        self._order = count()
-        #: (time_ns, order, record, owner, audience, flags to set)
-        self._entries: list[tuple[int, int, bytes, int, int, int]] = []
+        self.next_ns: int | None = None
+        self._posted: list[Words] = []
 
-    def post(self, time_ns: int, record: bytes, owner: int, audience: int, flags: int = 0) -> None:
-        """Post a frame for `time_ns`."""
-        self._entries.append((time_ns, next(self._order), record, owner, audience, flags))
+    def post(self, burst: Frames, time_ns: int | Words, owner: int, audience: int) -> None:
+        """Post frames of a station for `time_ns`."""
+        events = np.zeros((len(burst), EVENT_WORDS), np.int64)
+        events[:, :FRAME_WORDS] = words(burst)
+        events[:, TIME], events[:, EXPIRES], events[:, OWNED_BY], events[:, AUDIENCE] = time_ns, 0, owner, audience
+        self.add(events[np.argsort(events[:, TIME], kind="stable")])
 
-    def next_ns(self) -> int | None:
-        """Return the earliest time of all posted records."""
-        return min(self._entries)[0] if self._entries else None
+    def add(self, events: Words) -> None:
+        """Post records, shape (n, EVENT_WORDS), ascending by time."""
+        if len(events):
+            first_ns = int(events[0, TIME])
+            self.next_ns = first_ns if self.next_ns is None else min(first_ns, self.next_ns)
+            self._posted.append(events)
 
-    def collect(self, time_ns: int | None) -> Events:
-        """Return all records posted up to `time_ns`; without a time, all records."""
-        self._entries.sort()
-        end = len(self._entries) if time_ns is None else bisect_left(self._entries, (time_ns + 1,))
-        if not end:
+    def collect(self, time_ns: int = FOREVER_NS) -> Events:
+        """Return all records posted up to `time_ns`."""
+        if self.next_ns is None or self.next_ns > time_ns:
             return _NOTHING
-        times, _, records, owners, audiences, flags = zip(*self._entries[:end], strict=True)
-        del self._entries[:end]
-        collected = burst_of(records)
-        collected["time_ns"] = times
-        collected["expires_ns"] = 0  # matters to the sender only
-        if any(flags):
-            collected["flags"] |= np.array(flags, np.uint8)
-        audience = np.array(audiences, np.uint8)
-        plain = not any(flags) and min(audiences) == OTHERS | OWNER
-        return Events(collected, np.array(owners), audience, plain)
+        events = self._posted[0]
+        if len(self._posted) > 1:
+            events = np.concatenate(self._posted)
+            events = events[np.argsort(events[:, TIME], kind="stable")]
+        end = int(np.searchsorted(events[:, TIME], time_ns, "right"))
+        self._posted = [events[end:]] if end < len(events) else []
+        self.next_ns = int(events[end, TIME]) if end < len(events) else None
+        ended, audience = events[:end], events[:end, AUDIENCE]
+        burst: Frames = np.ndarray(end, FRAME, np.ascontiguousarray(ended[:, :FRAME_WORDS]))
+        return Events(burst, ended[:, OWNED_BY], audience, bool((audience == OTHERS | OWNER).all()))

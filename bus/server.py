@@ -36,7 +36,6 @@ from bus.simulated_bus import SimulatedBus
 from canskin.errors import BusError, InputError
 from canskin.session import own_folder
 from dbc.frame import frames
-from dbc.frame_bits import frame_time_ns
 from shell.service import say
 
 #: Period in which frames are delivered inside a burst; its first and last frames are delivered at once.
@@ -115,7 +114,10 @@ class BusServer:
         self._lines: list[_Line] = []
         self._now_ns = 0
         self._buffer = bytearray(MAX_PACKET + 1)
-        frame_time_ns(frames(1), settings.bitrate)  # compile before the first client comes
+        dry = SimulatedBus(settings.bitrate)
+        sender, _ = dry.attach("sender"), dry.attach("receiver")
+        dry.submit(sender, frames(1))
+        dry.run_until()  # compiled before the first client comes
         folder = folder or runtime_folder()
         check_channels(ARBITRATED, channels)
         try:

@@ -8,15 +8,13 @@ time. `bus.faults` draws faults; `bus.confinement` computes their effect on the 
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
+from bus.arbitration import FOREVER_NS, OTHERS, OWNER, Queued, clash_bits
 from bus.confinement import Confinement
 from bus.controller import Controller
 from bus.faults import Fault, FaultSchedule, Odds
-from bus.outbox import OTHERS, OWNER, Events, burst_of
-from bus.pending import Waiting, clash_bits
+from bus.outbox import Events
 from bus.station import Counts, Station, Stations
-from bus.transmit_queues import TransmitQueues
+from bus.transmit_queues import TransmitQueues, Winner
 from dbc.frame import Frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
 
@@ -66,7 +64,8 @@ class SimulatedBus:
     @property
     def idle_from_ns(self) -> int:
         """When the released frames that wait will have been sent, if no other comes, and none fails."""
-        return self._free_ns + self._queues.pending.ready_ns
+        start_ns = self._queues.next_start_ns(self._free_ns) or self._free_ns
+        return start_ns + self._queues.waiting_ns(start_ns)
 
     # --- who is on the bus -------------------------------------------------------------------------------
 
@@ -87,8 +86,7 @@ class SimulatedBus:
     def detach(self, station: Station) -> None:
         """Disconnect a station; its waiting frames are dropped."""
         self._stations.remove(station)
-        for controller in station.controllers.values():
-            self._queues.take_back(controller)
+        self._queues.take_back(station)
         self._confinement.forget(station)
         self._refresh()
 
@@ -105,7 +103,7 @@ class SimulatedBus:
     def _refresh(self) -> None:
         """Count the controllers that acknowledge, and retry frames that were not acknowledged."""
         self._stations.refresh()
-        self._queues.pending.unpark(self.now_ns)
+        self._queues.unpark(self.now_ns)
 
     # --- frames in, events out ---------------------------------------------------------------------------
 
@@ -128,100 +126,87 @@ class SimulatedBus:
         if not len(accepted):
             return 0
         self.now_ns = max(self.now_ns, time_ns)
-        controllers = [self._controller(station, port) for port in accepted["port"].tolist()]
-        durations_ns = frame_time_ns(accepted, self.bitrate, self.data_bitrate).tolist()
-        self._queues.submit(accepted, controllers, durations_ns, self.now_ns)
+        for port in dict.fromkeys(accepted["port"].tolist()):
+            self._controller(station, port)
+        durations_ns = frame_time_ns(accepted, self.bitrate, self.data_bitrate)
+        self._queues.submit(accepted, station, durations_ns, self.now_ns)
         return len(accepted)
 
     def take_back(self, station: Station) -> Frames:
         """Remove and return the waiting frames of a station, each controller's oldest first."""
-        return np.concatenate([self._queues.take_back(each) for each in station.controllers.values()])
+        return self._queues.take_back(station)
+
+    def waiting(self, station: Station) -> int:
+        """Return the number of frames of a station that wait."""
+        return len(self._queues.waiting(station))
 
     def run_until(self, time_ns: int | None = None) -> Events:
         """Simulate up to `time_ns`, and return what ended; without a time, run until no event is left."""
-        pending = self._queues.pending
+        limit_ns = FOREVER_NS if time_ns is None else time_ns
         while True:
-            start = pending.next_start_ns(self._free_ns)
-            if self._recover_before(start, time_ns):
-                continue
-            if start is None or (time_ns is not None and start > time_ns):
+            recover_ns = self._confinement.next_recovery_ns
+            until_ns = limit_ns if recover_ns is None else min(limit_ns, recover_ns - 1)
+            sends = not (self._faults or self._confinement or self._stations.takers < 2)
+            self._free_ns, winner = self._queues.carry(self._free_ns, until_ns, self._intermission_ns, sends=sends)
+            if winner is not None:
+                self.now_ns = max(self.now_ns, winner.start_ns)
+                self._transmit(winner)
+            elif recover_ns is None or recover_ns > limit_ns:
                 break
-            self.now_ns = max(self.now_ns, start)
-            if self._faults or self._confinement or self._stations.takers < 2:
-                self._transmit(pending.winner(start), start)
             else:
-                self._carry(start, time_ns)
-            self._queues.discard_expired(self.now_ns)
-        events = self._queues.outbox.collect(time_ns)
+                self.now_ns = max(self.now_ns, recover_ns)
+                self._confinement.recover()
+                self._refresh()
+        events = self._queues.outbox.collect(limit_ns)
         ended = int(events.frames["time_ns"][-1]) if len(events.frames) else 0
         self.now_ns = max(self.now_ns, time_ns or 0, ended)
         return events
 
     def next_event_ns(self) -> int | None:
         """Return the time of the next event, None if there is none."""
-        starts = self._queues.pending.next_start_ns(self._free_ns)
-        coming = (self._confinement.next_recovery_ns, self._queues.outbox.next_ns(), starts)
+        starts = self._queues.next_start_ns(self._free_ns)
+        coming = (self._confinement.next_recovery_ns, self._queues.outbox.next_ns, starts)
         return min((time for time in coming if time is not None), default=None)
 
-    def _recover_before(self, start: int | None, time_ns: int | None) -> bool:
-        """Recover the first bus-off controller that is due before `start`; tell whether there was one."""
-        recover_ns = self._confinement.next_recovery_ns
-        if recover_ns is None or any(end is not None and recover_ns > end for end in (start, time_ns)):
-            return False
-        self.now_ns = max(self.now_ns, recover_ns)
-        self._confinement.recover()
-        self._refresh()
-        return True
+    # --- the wire, where faults are possible -------------------------------------------------------------
 
-    # --- the wire ----------------------------------------------------------------------------------------
-
-    def _carry(self, start: int, time_ns: int | None) -> None:
-        """Send frames while no fault is possible; a faster form of `_transmit`."""
-        pending, post, counts = self._queues.pending, self._queues.outbox.post, self.counts
-        coming: int | None = start
-        while coming is not None and (time_ns is None or coming <= time_ns):
-            item = pending.winner(coming)
-            if item is None or pending.contests(item):
-                self._transmit(item, coming)
-                return
-            free = self._free_ns = coming + item.duration_ns
-            post(free - self._intermission_ns, item.record, item.controller.station, OTHERS | OWNER)
-            item.controller.waiting -= 1
-            counts.transmitted += 1
-            counts.busy_ns += item.duration_ns
-            coming = pending.next_start_ns(free)
-
-    def _transmit(self, item: Waiting | None, start: int) -> None:
-        """Send the winner of an arbitration, if any, or find the reason of its failure."""
-        if item is None:
-            return
-        pending = self._queues.pending
-        contested = pending.contests(item)
-        if item.controller.suspended_until_ns > start:
-            pending.add(item, item.controller.suspended_until_ns)
+    def _transmit(self, winner: Winner) -> None:
+        """Send the winner of an arbitration, with equal frames of others, or find the reason of its failure."""
+        senders: dict[Controller, int] = {}
+        queued = self._queues.queued
+        for place in [winner.place, *self._queues.equals(winner)]:
+            station = self._stations.by_number[int(queued["station"][place])]
+            senders.setdefault(station.controllers[int(queued["frame"]["port"][place])], place)
+        suspended_until_ns = next(iter(senders)).suspended_until_ns
+        if suspended_until_ns > winner.start_ns:
+            self._queues.delay(winner.place, suspended_until_ns)
         else:
-            self._attempt([item, *pending.equals(item)] if contested else [item], start)
+            self._attempt(senders, winner.start_ns)
 
-    def _attempt(self, items: list[Waiting], start: int) -> None:
-        """Send a frame, or equal frames of several controllers, with possible faults."""
-        _, sequence, _, duration, sender, _ = items[0]
-        same, faults = burst_of(item.record for item in items), self._faults
+    def _attempt(self, senders: dict[Controller, int], start: int) -> None:
+        """Send a frame, or equal frames of several controllers, by their places, with possible faults."""
+        items, faults = self._queues.queued[list(senders.values())], self._faults
+        same, duration, sequence = items["frame"], int(items["duration_ns"][0]), int(items["sequence"][0])
         clash = clash_bits(same) if len(items) > 1 else None
-        odds = faults.odds(sender.name, int(same["can_id"][0]))
+        odds = faults.odds(next(iter(senders)).name, int(same["can_id"][0]))
         if clash is not None:
-            self._fail(items, start, nominal_ns(clash, self.bitrate))
+            self._fail(senders, start, nominal_ns(clash, self.bitrate))
         elif self._stations.takers < 2:
-            self._fail(items, start, duration - nominal_ns(_AFTER_ACK_BITS, self.bitrate), unacknowledged=True)
+            self._fail(senders, start, duration - nominal_ns(_AFTER_ACK_BITS, self.bitrate), unacknowledged=True)
         elif (after_ns := faults.draw_error_ns(odds, duration, self.bitrate)) is not None:
-            self._fail(items, start, after_ns)
+            self._fail(senders, start, after_ns)
         elif faults.draw_duplicate(odds, sequence):
-            self._repeat(items, start, duration - self._intermission_ns)
+            # The last bit of end of frame is disturbed: receivers keep the frame, the sender sends it again.
+            self.counts.duplicated += 1
+            after_ns = duration - self._intermission_ns
+            self._post(items[:1], start + after_ns, OTHERS)
+            self._fail(senders, start, after_ns)
         else:
-            self._succeed(items, start, odds)
+            self._succeed(senders, items, start, odds)
 
-    def _succeed(self, items: list[Waiting], start: int, odds: Odds) -> None:
+    def _succeed(self, senders: dict[Controller, int], items: Queued, start: int, odds: Odds) -> None:
         """End a good frame: receivers get the frame, and each of its senders an echo."""
-        duration = items[0].duration_ns
+        duration = int(items["duration_ns"][0])
         self._free_ns = start + duration
         self.counts.busy_ns += duration
         ended = self._free_ns - self._intermission_ns
@@ -232,25 +217,21 @@ class SimulatedBus:
         elif self._faults.draw(odds.delay):
             audience = OWNER
             self.counts.delayed += 1
-            self._queues.post_copy(items[0], ended + odds.delay_ns)
-        for item in items:
-            self._queues.outbox.post(ended, item.record, item.controller.station, audience)
-            item.controller.waiting -= 1
-            self.counts.transmitted += 1
+            self._post(items[:1], ended + odds.delay_ns, OTHERS)
+        self._queues.remove(list(senders.values()))
+        for place in range(len(items)):
+            self._post(items[place : place + 1], ended, audience)
             audience = OWNER
         if self._confinement:
-            self._confinement.frame_ended({item.controller for item in items}, start, ended, self._free_ns)
+            self._confinement.frame_ended(senders.keys(), start, ended, self._free_ns)
 
-    def _repeat(self, items: list[Waiting], start: int, after_ns: int) -> None:
-        """Disturb the last bit of end of frame: receivers keep the frame, the sender sends it again."""
-        self.counts.duplicated += 1
-        self._queues.post_copy(items[0], start + after_ns)
-        self._fail(items, start, after_ns)
+    def _post(self, item: Queued, time_ns: int, audience: int) -> None:
+        self._queues.outbox.post(item["frame"], time_ns, int(item["station"][0]), audience)
 
-    def _fail(self, items: list[Waiting], start: int, after_ns: int, *, unacknowledged: bool = False) -> None:
+    def _fail(self, senders: dict[Controller, int], start: int, after_ns: int, *, unacknowledged: bool = False) -> None:
         """End a frame with an error frame `after_ns`; the senders send it again."""
         ended = start + after_ns + nominal_ns(ERROR_FRAME_BITS, self.bitrate)
         self._free_ns = ended + self._intermission_ns
         self.counts.errors += 1
         self.counts.busy_ns += self._free_ns - start
-        self._confinement.frame_failed(items, ended, self._free_ns, unacknowledged=unacknowledged)
+        self._confinement.frame_failed(senders, ended, self._free_ns, unacknowledged=unacknowledged)

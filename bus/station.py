@@ -18,6 +18,8 @@ class Station:
         Most severe state of its controllers.
     off : bool
         Whether all controllers have no power; the station then receives nothing.
+    idle : list of int
+        Ports of the controllers that take no part in the bus.
     """
 
     number: int
@@ -26,9 +28,11 @@ class Station:
     controllers: dict[int, Controller] = field(default_factory=dict)
     state: State = State.ACTIVE
     off: bool = False
+    idle: list[int] = field(default_factory=list)
 
     def refresh(self) -> None:
-        """Compute `state` and `off` again, after a controller came or changed."""
+        """Compute `state`, `off` and `idle` again, after a controller came or changed."""
+        self.idle = [port for port, one in self.controllers.items() if not one.takes_part]
         self.state = max(one.state for one in self.controllers.values())
         self.off = all(one.off for one in self.controllers.values())
 

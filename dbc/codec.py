@@ -30,7 +30,9 @@ def encode(
     array of uint8, shape (frames, 1 + ceil(width * bits / 8))
     """
     packed = packed_values(np.append(packing.raw(sums), np.int32(0))[gather], packing.bits)
-    return np.pad(packed, ((0, 0), (COUNTER_BYTES, 0)), constant_values=sync_counter)
+    payloads = np.full((len(packed), COUNTER_BYTES + packed.shape[1]), sync_counter, np.uint8)
+    payloads[:, COUNTER_BYTES:] = packed
+    return payloads
 
 
 def packed_values(raw: npt.NDArray[np.integer], bits: int) -> npt.NDArray[np.uint8]:

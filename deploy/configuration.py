@@ -105,12 +105,11 @@ ExecStart={venv}/bin/skin hub $SKIN_hub
 
 RUN: Final = """\
 ExecStart=
-ExecStart={venv}/bin/skin run --layout ${{SKIN_LAYOUT}} gateway $SKIN_gateway + reconstruct $SKIN_reconstruct \
-  + classify $SKIN_classify + view $SKIN_view
+ExecStart={venv}/bin/skin run --layout ${{SKIN_LAYOUT}} gateway $SKIN_gateway + reconstruct $SKIN_reconstruct
 
 [Unit]
 # In place of a process for each.
-Conflicts=skin@gateway.service skin@reconstruct.service skin@classify.service skin@view.service
+Conflicts=skin@gateway.service skin@reconstruct.service
 """
 
 METRICS: Final = """\

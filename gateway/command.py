@@ -8,6 +8,7 @@ from calibration.calibrator import Tare
 from calibration.keeping import kept_zero
 from canskin.calibration_messages import CALIBRATION, ZERO
 from canskin.errors import InputError
+from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
@@ -92,15 +93,19 @@ def gateway(
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     answers = ThreadPoolExecutor(1, "calibration")
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
-    fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=pulse)
+    services: list[GatewayService] = []
+
+    def prepare(fabric: Fabric) -> None:  # loads kernels, too: before the others see the gateway
+        services.append(GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz))
+        for question in (CALIBRATION, ZERO):
+            fabric.answer(question, calibrates.ask)
+
+    fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=pulse, prepare=prepare)
     pulse.fabric = fabric
-    for question in (CALIBRATION, ZERO):
-        fabric.answer(question, calibrates.ask)
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
         with closing_links(links):
-            service = GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz)
-            service.run(stop, pulse.beat)
+            services[0].run(stop, pulse.beat)
     finally:
         calibrates.keep_zero()
         answers.shutdown()

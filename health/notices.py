@@ -233,11 +233,12 @@ def _off_duty(bus: BusView) -> Iterator[tuple[_Told, float | None]]:
         nodes = [each.node for each in found]
         named = ", ".join(map(str, nodes[:NAMED])) + (f" and {len(nodes) - NAMED} more" if len(nodes) > NAMED else "")
         who = "all nodes" if len(nodes) == len(bus.nodes) else f"node{'s' * (len(nodes) > 1)} {named}"
-        seen = sorted({each.why for each in found} - {word})
+        seen = sorted({each.why.removeprefix(word).lstrip(":, ") for each in found} - {""})
         evidence = f" ({seen[0]}{f'; and {len(seen) - 1} more' * (len(seen) > 1)})" if seen else ""
         since_time_s = min(each.since_time_s for each in found)
         cause = Cause.of(code)
-        level = min(bus.level, cause.level, key=GRAVE.index)
+        is_free = cause is Cause.NODE_AWAY  # whatever the rest of the bus does
+        level = cause.level if is_free else min(bus.level, cause.level, key=GRAVE.index)
         yield (cause, word, f"{who} {word}{evidence}", level), since_time_s
 
 

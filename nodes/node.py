@@ -4,7 +4,6 @@ import struct
 from typing import Final
 
 import canopen
-import numpy as np
 
 from dbc import indices as od
 from dbc.canopen import (
@@ -46,7 +45,7 @@ class SkinNode:
     Attributes
     ----------
     state : NmtState
-    health : array of int, shape (4,)
+    health : list of four ints
         SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels (2020h).
     objects : NodeObjects
         The dictionary as it is now.
@@ -59,7 +58,7 @@ class SkinNode:
     def __init__(self, contract: NodeContract, objects: NodeObjects, outbox: Outbox, hardware: Hardware) -> None:
         self.contract = contract
         self.state = NmtState.INITIALISING
-        self.health = np.zeros(4, np.int64)
+        self.health = [0] * 4
         self._met_at = WINDOWS_MET
         self.tpdos: list[LiveTpdo] = []
         self.sync_counter = 0
@@ -93,7 +92,7 @@ class SkinNode:
         self.objects.load(communication_only=communication_only)
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
-        self.health[:] = 0
+        self.health = [0] * 4
         self.refresh(now_s)
         self._send_state()
         self._enter(NmtState.PRE_OPERATIONAL)
@@ -173,8 +172,8 @@ class SkinNode:
     def expired(self, count: int) -> None:
         """Count and report PDOs that could not be sent within the window (1007h)."""
         self.health[2] += count
-        self._met_at = int(self.health[0]) + WINDOWS_MET
-        self.emcy.raised(Emergency.WINDOW_MISSED, int(self.health[2]))
+        self._met_at = self.health[0] + WINDOWS_MET
+        self.emcy.raised(Emergency.WINDOW_MISSED, self.health[2])
 
     def count_sync(self) -> None:
         """Count a SYNC, and report that windows are met again."""
@@ -219,4 +218,4 @@ class SkinNode:
     def _read_health(self, subindex: int) -> int | None:
         contract = self.contract
         self.health[3] = sum(self._hardware.saturated(contract.block + place) for place in range(contract.blocks))
-        return int(self.health[subindex - 1]) if subindex else None
+        return self.health[subindex - 1] if subindex else None

@@ -126,6 +126,7 @@ class VirtualBoards:
         unsent = arrived[flags & DISCARDED == DISCARDED]
         # A controller in bus-off discards other frames, too.
         if len(unsent):
+            self.due_s = float("-inf")
             for node, count in self._of_nodes(unsent[self.is_pdo[unsent["can_id"] & BASE_ID_MASK]]):
                 node.expired(count)
         there = flags & (ERROR | EXTENDED | REMOTE) == 0
@@ -168,7 +169,6 @@ class VirtualBoards:
 
     def answer(self, sync: Frames, now_s: float, measured: npt.NDArray[np.int32] | None) -> Frames:  # noqa: ARG002
         """Take a SYNC; answer with the sums of now, where the nodes send at SYNC."""
-        self.due_s = float("-inf")
         length = int(sync["length"][0])
         listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
         self._judge_sync(listening, length)
@@ -182,15 +182,15 @@ class VirtualBoards:
     def _send_sums(self, counter: int, time_ns: int, sums: npt.NDArray[np.int32]) -> None:
         operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
         burst = self._burst.frames(counter, sums, operational)
-        for node, count in self._of_nodes(burst):
-            node.health[1] += count
-        others = [burst]
+        for node_id in burst["port"].tolist():
+            self._by_id[node_id].health[1] += 1
+        others: list[Frames] = []
         for node, tpdo in self._mixed:
             if node.state is NmtState.OPERATIONAL:
                 payload = tpdo.at_sync(counter, node.local)
                 if payload is not None:
                     others.append(node.tpdo_frame(tpdo, payload))
-        burst = np.concatenate(others)
+        burst = np.concatenate((burst, *others)) if others else burst
         burst["time_ns"] = time_ns + REACTION_NS
         burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
         self._outbox.post(burst)
@@ -203,6 +203,8 @@ class VirtualBoards:
                 node.emcy.gone(Emergency.SYNC_LENGTH)
             else:
                 node.emcy.raised(Emergency.SYNC_LENGTH, length)
+            if node.emcy.is_waiting:
+                self.due_s = float("-inf")
 
     def _nmt(self, data: bytes, now_s: float) -> None:
         if len(data) != NMT_BYTES:

@@ -1,9 +1,7 @@
 """``skin reconstruct``: the tactile image of every cycle, and its contacts."""
 
-import threading
 from contextlib import closing
 from pathlib import Path
-from typing import Final
 
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
@@ -11,9 +9,6 @@ from reconstructor.service import ReconstructorService, warm_up
 from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
-
-#: A start that takes longer logs the reason.
-SILENT_S: Final = 4.0
 
 
 def reconstruct(
@@ -45,12 +40,7 @@ def reconstruct(
     (solver or SolverOptions()).settings()  # its errors before any wait
     skin = of.find("reconstructor", stop)
     imager = make_imager(skin, solver, gains)
-    patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
-    patience.start()
-    try:
-        warm_up(skin, imager)
-    finally:
-        patience.cancel()
+    warm_up(skin, imager)
     with closing(of.join(skin, "reconstructor", pulse)) as fabric:
         pulse.fabric = fabric
         service = ReconstructorService(skin, imager, fabric)

@@ -9,6 +9,7 @@ is made with `njit` of this module.
 import hashlib
 import inspect
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -26,6 +27,7 @@ from numba.experimental import structref
 from numba.extending import intrinsic, is_jitted
 from numba.np.arrayobj import make_array
 
+from shell.service import say
 from shell.watchdog import WATCHDOG
 
 __all__ = ["Held", "borrowed", "hold", "njit"]
@@ -51,6 +53,8 @@ with _missing("cffi", "scipy.linalg.cython_blas"):
     import numba.np.arraymath
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+#: A process that compiles for longer logs the reason.
+SILENT_S: Final = 4.0
 
 
 def _borrowed(_context: Any, arrays: Any) -> Any:
@@ -167,16 +171,31 @@ config.CACHE_LOCATOR_CLASSES = ",".join(  # type: ignore[attr-defined]  # numba 
 
 
 class _Compiling(event.Listener):
-    """Tells the watchdog that kernels are compiled, one by one, as in the first turns of a loop."""
+    """Tells the watchdog, and after `SILENT_S` the user, that kernels are compiled one by one."""
+
+    keeps = True
+
+    def __init__(self) -> None:
+        self._begun_s = self._newest_s = float("-inf")
+        self._has_said = False
 
     def on_start(self, event: Any) -> None:  # noqa: ARG002 - Numba gives it
         """Note that the compiler begins or ends with a kernel."""
         WATCHDOG.compiles()
+        now_s = time.monotonic()
+        if now_s - self._newest_s > SILENT_S:
+            self._begun_s = now_s
+        self._newest_s = now_s
+        if now_s - self._begun_s >= SILENT_S and not self._has_said:
+            self._has_said = True
+            when = "as on every first start" if self.keeps else "at each start: no folder for them can be written"
+            say("kernels", f"compiled for this processor, {when}")
 
     on_end = on_start
 
 
-event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]
+COMPILING: Final = _Compiling()
+event.register("numba:compile", COMPILING)  # type: ignore[no-untyped-call]
 
 
 def njit(signature: Any = None, *, cache: bool = False, **options: Any) -> Callable[[Kernel], "Dispatcher[Kernel]"]:
@@ -190,6 +209,7 @@ def njit(signature: Any = None, *, cache: bool = False, **options: Any) -> Calla
 
     def compile_kernel(function: Kernel) -> "Dispatcher[Kernel]":
         keeps = cache and any(place.from_function(function, inspect.getfile(function)) for place in PLACES)
+        COMPILING.keeps &= keeps or not cache
         compiling: Any = numba.njit  # its overloads do not know arguments that are passed on
         kernel: Dispatcher[Kernel] = compiling(cache=keeps, **options)(function)
         if signature is None:

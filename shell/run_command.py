@@ -18,6 +18,8 @@ from shell.watchdog import WATCHDOG
 
 #: In the order of the data, in which they are stopped.
 SERVICES: Final = ("gateway", "reconstruct", "classify", "view")
+#: Those between a touch and an image. With the others SYNC waits for their share of the interpreter's lock.
+DEFAULT: Final = "gateway + reconstruct"
 #: Between the words of two services.
 AND: Final = "+"
 
@@ -35,8 +37,8 @@ def run(
     Parameters
     ----------
     words
-        The services, ``+`` between two, each with options of its own; by default gateway + reconstruct + classify +
-        view.
+        The services, ``+`` between two, each with options of its own; by default gateway + reconstruct. With
+        classify or view beside a gateway SYNC is later.
     layout
         TOML of the skin; without it the default skin, or without a gateway the layout that the hub tells.
     listen
@@ -47,10 +49,10 @@ def run(
     Examples
     --------
     skin run
-    skin run --layout palm.toml gateway -i socketcan -c can0 + reconstruct + view --port 8080
-    skin run reconstruct + classify --connect tcp/10.0.0.5:7447
+    skin run --layout palm.toml gateway -i socketcan -c can0 + reconstruct --gains gains.json
+    skin run classify + view --port 0
     """
-    serve = _parsed(words or AND.join(SERVICES).split(), layout, listen, connect)
+    serve = _parsed(words or DEFAULT.split(), layout, listen, connect)
     has_hub = "gateway" in serve and connect is None
     if listen is not None and not has_hub:
         raise InputError("--listen: expected a gateway among the services, and no --connect")

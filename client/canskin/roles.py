@@ -78,11 +78,11 @@ ROLES: Final = {
         ask=(LAYOUT,),
     ),
     "run": Role(
-        "skin run: gateway, reconstructor, classifier and a page with its actions in one process",
-        ("gateway", "reconstructor", "classifier", "viewer"),
-        put=(MEASUREMENT, GATEWAY, IMAGE, CONTACTS, LABEL, MARK, SERVICES),
-        subscribe=TOPICS,
-        ask=QUESTIONS,
+        "skin run: gateway and reconstructor in one process",
+        ("gateway", "reconstructor"),
+        put=(MEASUREMENT, GATEWAY, IMAGE, CONTACTS, SERVICES),
+        subscribe=(MEASUREMENT, IMAGE),
+        ask=(LAYOUT,),
         answer=QUESTIONS,
     ),
     "viewer": Role(

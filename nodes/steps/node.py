@@ -57,5 +57,5 @@ class SteppedNode(SkinNode):
         """Do nothing: `SteppedBoards.count` has taken note."""
 
     def _read_health(self, subindex: int) -> int | None:
-        self.health[1:3] = self._senders.counts[self.contract.block]
+        self.health[1:3] = self._senders.counts[self.contract.block].tolist()
         return super()._read_health(subindex)

@@ -63,7 +63,7 @@ def test_a_disturbed_frame_ends_with_an_error_frame_and_is_sent_again(
     assert bus.counts.errors == bus.counts.transmitted == 1
     assert bus.counts.busy_ns == 10_000 + 23 * bit_ns + frame_ns
     assert (one.controllers[0].transmit_errors, two.controllers[0].receive_errors) == (7, 0)
-    assert one.controllers[0].waiting == 0
+    assert bus.waiting(one) == 0
 
 
 def test_a_duplicate_is_disturbed_in_the_last_bit_of_its_end() -> None:
@@ -100,7 +100,7 @@ def test_a_frame_that_nobody_acknowledges_fails_behind_the_ack_slot() -> None:
     round_ns = lasts_ns() - 11 * BIT_NS + 20 * BIT_NS
     ends_ns = [5 + (each + 1) * round_ns + each * 3 * BIT_NS for each in range(16)]
     assert reports(events, ErrorClass.ACK) == [*ends_ns, ends_ns[-1] + (3 + 8) * BIT_NS + round_ns]
-    assert (bus.counts.errors, one.controllers[0].waiting, bus.next_event_ns()) == (17, 1, None)
+    assert (bus.counts.errors, bus.waiting(one), bus.next_event_ns()) == (17, 1, None)
     assert bus.counts.busy_ns == 17 * (round_ns + 3 * BIT_NS)
     now_ns = bus.now_ns
     listener = bus.attach("two")

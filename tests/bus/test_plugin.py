@@ -123,7 +123,7 @@ def test_a_bus_that_is_gone_raises_and_nothing_hangs() -> None:
         one.shutdown()
     with pytest.raises(can.CanOperationError, match="shut down"):
         one.recv(0.0)
-    with pytest.raises(can.CanInitializationError, match="skin bus bus0"):
+    with pytest.raises(can.CanInitializationError, match="start it with 'skin bus'"):
         can.Bus(interface="canskin", channel="bus0", ignore_config=True)
 
 

@@ -218,7 +218,7 @@ def test_wrong_rates_and_missing_buses_are_one_line() -> None:
             with pytest.raises(BusError, match=what) as caught:
                 open_link("canskin", "bus0", **options)  # type: ignore[arg-type]
             assert "\n" not in str(caught.value)
-    with pytest.raises(BusError, match="skin bus bus0"):
+    with pytest.raises(BusError, match="start it with 'skin bus"):
         open_link("canskin", "bus0", 1_000_000)
     with pytest.raises(InputError, match="cannot name a bus"):
         open_link("canskin", "../bus0", 1_000_000)

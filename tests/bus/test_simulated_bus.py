@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.arbitration import clash_bits
 from bus.outbox import DISCARDED, OTHERS, OWNER
-from bus.pending import clash_bits
 from bus.simulated_bus import SimulatedBus
 from dbc.frame import BRS, EXTENDED, FD, FRAME, REMOTE, Frames
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
@@ -101,7 +101,7 @@ def test_a_frame_that_cannot_start_in_time_is_given_back() -> None:
     given_back = events.frames["flags"] == DISCARDED
     assert events.frames["can_id"][given_back].tolist() == [0x300]
     assert events.frames["can_id"][~given_back].tolist() == [0x100, 0x200]
-    assert (bus.counts.transmitted, bus.counts.discarded, one.controllers[0].waiting) == (2, 1, 0)
+    assert (bus.counts.transmitted, bus.counts.discarded, bus.waiting(one)) == (2, 1, 0)
 
 
 def test_an_expired_frame_is_given_back_while_more_urgent_frames_keep_the_bus() -> None:
@@ -114,7 +114,7 @@ def test_an_expired_frame_is_given_back_while_more_urgent_frames_keep_the_bus() 
     assert events.frames["can_id"][events.frames["flags"] == DISCARDED].tolist() == [0x300]
     assert bus.idle_from_ns > 40 * 40_000
     assert (bus.run_until().frames["can_id"] == 0x100).all()
-    assert (bus.counts.transmitted, bus.counts.discarded, one.controllers[0].waiting) == (40, 1, 0)
+    assert (bus.counts.transmitted, bus.counts.discarded, bus.waiting(one)) == (40, 1, 0)
 
 
 def test_nothing_is_told_before_its_end_of_frame() -> None:

@@ -28,7 +28,7 @@ def test_only_who_makes_something_passes_for_a_service_that_others_need() -> Non
 
 def test_a_refusal_names_the_own_role_and_those_that_may() -> None:
     assert refusal("client", "ask", "calibration") == (
-        "role 'client' may not ask 'calibration', 'run', 'ros2', 'operator' may: see 'skin keys explain'"
+        "role 'client' may not ask 'calibration', 'ros2', 'operator' may: see 'skin keys explain'"
     )
     assert not refusal("operator", "ask", "calibration")
     assert "may not appear as 'gateway', 'gateway', 'run' may" in refusal("viewer", "appear", "gateway")

@@ -91,7 +91,7 @@ def test_a_file_that_was_changed_by_hand_stays(install: Install, tmp_path: Path)
 def test_each_service_gets_the_keys_of_its_role_and_no_other(install: Install, tmp_path: Path) -> None:
     root, given = tmp_path / "root", tmp_path / "keys"
     new(given, skin="skin")
-    assert " skin@hub skin@run\n" in install(root, "--keys", str(given)).stdout
+    assert " skin@hub skin@run skin@classify " in install(root, "--keys", str(given)).stdout
     roles = {"hub", "run", "gateway", "reconstructor", "classifier", "operator", "recorder", "ros2", "viewer"}
     assert {path.name for path in (root / "etc/canskin/keys").iterdir()} == roles
     for verb, role in ROLES.items():

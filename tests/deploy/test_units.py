@@ -21,8 +21,8 @@ from tests.processes import Processes, free_port
 from tests.readonly import give_compiled, gives_real_time, not_here
 from tests.system.helpers import first_image
 
-VERBS = ("run", "record")
-INSTANCES = (*VERBS, "gateway", "reconstruct", "classify", "view", "ros2", "metrics")
+VERBS = ("run", "classify", "view", "record")
+INSTANCES = (*VERBS, "gateway", "reconstruct", "ros2", "metrics")
 #: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
 EXPOSURE_MAX = 20
 #: Where the services keep kernels, and the module of the gateway whose kernels are not there before.
@@ -124,12 +124,12 @@ def test_units_run_confined_as_they_say(installed: Path, tmp_path: Path) -> None
     with running(root, more, *VERBS) as processes:
         processes.await_words("run", "gateway: scheduling")
         first_image(processes, f"{UNIX}/{processes.folder}/writable/run/canskin/hub")
-        processes.await_words("run", "web page")
+        processes.await_words("view", "web page")
         wanted = "scheduling: real time" if gives_real_time() else "scheduling: ordinary"
         for verb, service in (
             ("run", "gateway"),
             ("run", "reconstructor"),
-            ("run", "classifier"),
+            ("classify", "classifier"),
             ("record", "record"),
         ):
             assert processes.log(verb).read_text().count(f"{service}: {wanted}") == 1, service

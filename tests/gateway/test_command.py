@@ -44,7 +44,9 @@ class Parts:
 
         def fabric(*given: object, **named: object) -> Closing:
             parts.calls.append(("fabric", given, named))
-            return Closing("fabric")
+            joined = Closing("fabric")
+            named["prepare"](joined)
+            return joined
 
         class Service:
             def __init__(self, *given: object, **named: object) -> None:
@@ -87,7 +89,7 @@ def test_it_answers_questions_about_its_calibration(monkeypatch: pytest.MonkeyPa
     parts = Parts(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         command.gateway()
-    assert [each.name for each in parts.answered] == [CALIBRATION.name, ZERO.name]
+    assert [each.name for each in parts.answered[-2:]] == [CALIBRATION.name, ZERO.name]
 
 
 def test_a_calibration_of_another_skin_or_for_stepped_boards_is_refused(

@@ -77,6 +77,16 @@ def test_optional_boards_that_are_not_there_are_no_trouble_of_their_bus(state: V
         assert [each.level for each in snapshot.notices if each.code == "node-away"] == ["info"]
 
 
+def test_the_evidence_of_a_node_does_not_repeat_what_is_wrong_and_an_optional_board_is_as_free_on_a_dead_bus(
+    state: ViewState, messages: Messages
+) -> None:
+    faults = {1: NodeFault(Fault.SILENT, "silent: no heartbeat for 1.5 s"), 2: NodeFault(Fault.AWAY)}
+    state.take(changed_bus(messages.gateway(), faults=faults, nmt=bytes([SILENT] * 2), nodes=[1, 2]), 1.0)
+    told = {each.code: (each.level, each.text) for each in seen_of(state, 1.0).notices}
+    assert told["node-silent"] == ("error", "left: node 1 silent (no heartbeat for 1.5 s)")
+    assert told["node-away"] == ("info", "left: node 2 optional, not there")
+
+
 @pytest.mark.parametrize("kind", Fault)
 def test_each_fault_of_a_node_is_one_cause(state: ViewState, messages: Messages, kind: Fault) -> None:
     state.take(changed_bus(messages.gateway(), faults={2: NodeFault(kind, "what was seen")}), 1.0)

@@ -232,7 +232,7 @@ def test_a_tare_without_the_right_is_refused_before_a_skin_is_looked_for(
     authority: Authority, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SKIN_KEYS", str(authority.folder / "client"))
-    with pytest.raises(DeniedError, match="role 'client' may not ask 'calibration', 'run', 'ros2', 'operator' may"):
+    with pytest.raises(DeniedError, match="role 'client' may not ask 'calibration', 'ros2', 'operator' may"):
         tare(of=SkinOptions(connect="tls/127.0.0.1:1"))
 
 

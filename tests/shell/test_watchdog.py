@@ -91,13 +91,18 @@ def test_the_limit_is_of_the_process_that_it_names(
 
 
 @pytest.mark.heavy
-def test_each_kernel_that_is_compiled_is_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_kernel_that_is_compiled_is_a_sign_of_life(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     signs = []
+    monkeypatch.setattr(compiled, "SILENT_S", 0.0)
+    monkeypatch.setattr(compiled.COMPILING, "_has_said", False)
     monkeypatch.setattr(compiled.WATCHDOG, "compiles", lambda: signs.append(1))
     inner = compiled.njit()(lambda number: number + 1)
     outer = compiled.njit()(lambda number: inner(number) * 2)
     assert outer(1) == 4
     assert len(signs) >= 4  # begin and end of each
+    assert capsys.readouterr().err == "kernels: compiled for this processor, as on every first start\n"
 
 
 def test_a_process_of_several_services_lives_while_each_of_them_does() -> None:

@@ -57,9 +57,10 @@ def test_the_files_are_valid_by_the_compose_specification() -> None:
 def test_each_profile_is_a_whole_skin_in_the_order_of_the_data(services: dict[str, Service]) -> None:
     assert list(of_profile(services, "virtual")) == IN_ORDER_OF_THE_DATA
     # A host with CAN needs no virtual bus, a robot no virtual nodes: they would answer as its boards.
-    assert list(of_profile(services, "robot")) == ["skin-can"]
-    assert list(of_profile(services, "vcan")) == ["nodes-vcan", "skin-can"]
-    assert len(services) == 8
+    robot = ["skin-can", "classifier-can", "viewer-can"]
+    assert list(of_profile(services, "robot")) == robot
+    assert list(of_profile(services, "vcan")) == ["nodes-vcan", *robot]
+    assert len(services) == 10
     assert SETTINGS["COMPOSE_PROFILES"] == "virtual"
 
 
