@@ -83,6 +83,10 @@ class Recording:
             column += wide
         return Frame(force_n, "")
 
+    def rest_n(self) -> float:
+        """Return the median of all forces, newtons: 0 or nearly of touches on a skin at rest."""
+        return float(self._newtons(np.median(np.concatenate([each.ravel() for each in self._arrays]))))
+
     def _newtons(self, counts: Counts) -> npt.NDArray[np.float64]:
         return counts.astype(np.float64) / self.full_scale * self.force_max_n
 
