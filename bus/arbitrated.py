@@ -8,16 +8,24 @@ from typing import Final
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
-from numba import int64, void
 
 from bus.error_frames import State
+from bus.intake import (
+    DROPPED,
+    FD,
+    HAS_FAILED,
+    RETURNED,
+    STATE,
+    Bytes,
+    Integers,
+    arrived_in,
+    new_intake,
+    read_packets,
+    send_packet,
+)
 from bus.interface import InterfaceError
 from bus.protocol import (
-    HEADER,
-    MAX_FRAMES,
     MAX_PACKET,
-    MAX_PAYLOAD,
     MAX_PORTS,
     Hello,
     Kind,
@@ -28,22 +36,17 @@ from bus.protocol import (
     padded,
     socket_path,
     unpack,
-    unpack_frames,
     unpack_json,
 )
 from bus.reconnecting import ReconnectingLink
 from canskin.errors import BusError, Stopped
-from dbc.frame import ECHO, FLAGS_AT, FRAME, PORT_AT, Frames, frame_bytes, frames
-from dbc.frame_fields import ROWS, field
-from shell.compiled import njit
+from dbc.frame import Frames, frame_bytes, frames
 from shell.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
 GREETING_S: Final = 5.0
 #: After this time without the bus, a program logs that it waits.
 SILENT_S: Final = 1.0
-#: Most packets of full size taken by one `receive`, so that a flood of packets cannot block the caller.
-PACKETS_PER_CALL: Final = 16
 
 
 class ArbitratedLink(ReconnectingLink):
@@ -73,11 +76,10 @@ class ArbitratedLink(ReconnectingLink):
         self.channel = channel
         self._hello = hello
         self._path = socket_path(channel)
-        self._header = memoryview(bytearray(HEADER.size))
-        self._payloads = memoryview(bytearray(PACKETS_PER_CALL * MAX_PAYLOAD))
-        # Two counters, each written by one thread only: frames sent, and frames reported back by the bus.
-        self._sent = np.zeros(MAX_PORTS, np.int64)
-        self._returned = np.zeros(MAX_PORTS, np.int64)
+        self._own = new_intake(1)
+        self._told = self._own.told[0]
+        # Frames sent by port; those that the bus reported back are in `_told`, which another thread may write.
+        self._sent, self._outgoing = np.zeros(MAX_PORTS, np.int64), np.empty(MAX_PACKET, np.uint8)
         try:
             self._use(self._connect_within(wait_s, stop or StopSignal()))
         except BaseException:
@@ -86,26 +88,23 @@ class ArbitratedLink(ReconnectingLink):
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of own frames included, in bus order."""
-        connection = self._reopened()
-        if connection is None:
+        if self._reopened() is None:
             return frames(0)
-        end = 0
-        try:
-            while end + MAX_PAYLOAD <= len(self._payloads):
-                size = connection.recvmsg_into([self._header, self._payloads[end:]])[0]
-                if not size:
-                    self._lose(connection)
-                    break
-                header, _ = unpack(self._header[:size])
-                end += unpack_frames(header, self._payloads[end : end + size - HEADER.size]).nbytes
-                if header.state != self._state:
-                    self._state = State(min(header.state, State.BUS_OFF))
-                self._dropped = header.dropped
-        except BlockingIOError:
-            pass
-        except (OSError, ProtocolError):
-            self._lose(connection)
-        return self._returned_of(np.frombuffer(self._payloads[:end], FRAME).copy())
+        read_packets(self._told, self._own.rows[0], self._own.packet)
+        return self.arrived(self._own.rows[0])
+
+    def tell(self, told: Integers) -> None:
+        """Use `told` for what is told of this link (`bus.intake`): who reads it with others has an array for all."""
+        told[:], self._told = self._told, told
+
+    def arrived(self, rows: Bytes) -> Frames:
+        """Return the frames that were read into `rows`, and use what was told besides."""
+        arrived = arrived_in(self._told, rows)
+        self._state = State(min(int(self._told[STATE]), State.BUS_OFF))
+        self._dropped = int(self._told[DROPPED])
+        if self._told[HAS_FAILED] and self._socket is not None:
+            self._lose(self._socket)
+        return arrived
 
     def send(self, burst: Frames) -> int:
         """Put frames into the transmit queues that their `port` names.
@@ -121,37 +120,34 @@ class ArbitratedLink(ReconnectingLink):
             Number of accepted frames, counted from the first; the next frame did not fit.
         """
         check_frames(burst, fd=self.welcome.data_bitrate is not None)
-        burst = padded(burst)
+        rows, sent = frame_bytes(padded(burst)), 0
         with self._lock:
             connection = self._reopened()
-            if connection is None:
-                return 0
-            sent = 0
-            while sent < len(burst):
-                part = burst[sent : sent + MAX_FRAMES]
-                rows = frame_bytes(part)
-                count = int(_count_fitting(rows, self.welcome.queue_size - (self._sent - self._returned)))
-                if not count or not self._send(connection, pack(Kind.FRAMES, part[:count].tobytes(), count=count)):
+            while connection is not None and sent < len(rows):
+                count = send_packet(rows[sent:], self.welcome.queue_size, self._told, self._sent, self._outgoing)
+                if count < 0:
+                    self._lose(connection)
+                if count <= 0:
+                    self._is_full = True
                     break
-                _count_ports(rows[:count], 0, self._sent)
                 sent += count
-            self._is_full |= sent < len(burst)
-            return sent
+        return sent
 
-    def _send(self, connection: socket.socket, packet: bytes) -> bool:
-        try:
-            connection.send(packet)
-        except BlockingIOError:
-            return False
-        except OSError:
-            self._lose(connection)
-            return False
-        return True
+    def close(self) -> None:
+        """Close the link."""
+        super().close()
+        self._told[FD] = -1
 
-    def _returned_of(self, arrived: Frames) -> Frames:
-        """Count the own frames that have come back."""
-        _count_ports(frame_bytes(arrived), ECHO, self._returned)
-        return arrived
+    def _use(self, connection: socket.socket) -> None:
+        """Start to use a new socket."""
+        super()._use(connection)
+        self._told[:RETURNED] = connection.fileno(), True, False, 0, False, State.ACTIVE, 0
+
+    def _lose(self, connection: socket.socket) -> None:
+        """Drop a socket that has failed."""
+        super()._lose(connection)
+        if self._socket is None:
+            self._told[:RETURNED] = -1, True, False, 0, False, State.ACTIVE, 0
 
     def _connect_within(self, wait_s: float, stop: StopSignal) -> socket.socket:
         since_s, said = time.monotonic(), False
@@ -184,7 +180,7 @@ class ArbitratedLink(ReconnectingLink):
         except BaseException:
             connection.close()
             raise
-        self._sent[:] = self._returned[:] = 0
+        self._sent[:] = self._told[RETURNED:] = 0
         return connection
 
     def _greet(self, connection: socket.socket) -> bytes:
@@ -199,22 +195,3 @@ class ArbitratedLink(ReconnectingLink):
         if header.kind != Kind.WELCOME:
             raise InterfaceError(f"bus '{self.channel}' refuses: {payload.tobytes().decode(errors='replace')}")
         return unpack_json(payload, Welcome)
-
-
-@njit(int64(ROWS, int64[::1]), cache=True, nogil=True)
-def _count_fitting(rows: npt.NDArray[np.uint8], left: npt.NDArray[np.int64]) -> int:
-    """Count the leading frames that fit their transmit queues, which have `left` places by port; changes `left`."""
-    for place in range(len(rows)):
-        port = field(rows[place], PORT_AT, 2)
-        if left[port] <= 0:
-            return place
-        left[port] -= 1
-    return len(rows)
-
-
-@njit(void(ROWS, int64, int64[::1]), cache=True, nogil=True)
-def _count_ports(rows: npt.NDArray[np.uint8], flags: int, counts: npt.NDArray[np.int64]) -> None:
-    """Add the frames that have all `flags` to the counts of their ports."""
-    for place in range(len(rows)):
-        if rows[place, FLAGS_AT] & flags == flags:
-            counts[field(rows[place], PORT_AT, 2) % MAX_PORTS] += 1

@@ -113,10 +113,10 @@ def frame_time_ns(
         Nanoseconds, rounded to the nearest.
     """
     if stuffing == "exact":
-        from dbc.stuff_bits import add_times
+        from dbc.stuff_bits import write_times
 
         times_ns = np.empty(len(frames), np.int64)
-        add_times(frame_bytes(frames), bitrate, data_bitrate or bitrate, times_ns)
+        write_times(frame_bytes(frames), bitrate, data_bitrate or bitrate, times_ns)
         return times_ns
     nominal, data = wire_bits(frames, stuffing)
     seconds = nominal / bitrate + data / (data_bitrate or bitrate)

@@ -147,14 +147,23 @@ def count_all(rows: Any, nominal: Any, data: Any) -> None:
         nominal[index], data[index] = count_bits(rows[index, CAN_ID_AT:])
 
 
-@njit(int64(ROWS, int64, int64, int64[::1]), cache=True, nogil=True)
-def add_times(rows: Any, bitrate: int, data_bitrate: int, times_ns: Any) -> int:
-    """Return the time of all frames on the bus; write that of each frame into `times_ns` as far as there is room."""
+@njit(void(ROWS, int64, int64, int64[::1]), cache=True, nogil=True)
+def write_times(rows: Any, bitrate: int, data_bitrate: int, times_ns: Any) -> None:
+    """Write the time of every frame on the bus into `times_ns`."""
+    for index in range(rows.shape[0]):
+        times_ns[index] = _time_ns(rows[index, CAN_ID_AT:], bitrate, data_bitrate)
+
+
+@njit(cache=True, nogil=True)
+def time_of_all_ns(rows: Any, bitrate: int, data_bitrate: int) -> int:
+    """Return the time of all frames on the bus."""
     busy_ns = 0
     for index in range(rows.shape[0]):
-        nominal, data = count_bits(rows[index, CAN_ID_AT:])
-        time_ns = int(np.rint((nominal / bitrate + data / data_bitrate) * 1e9))
-        busy_ns += time_ns
-        if index < times_ns.size:
-            times_ns[index] = time_ns
+        busy_ns += _time_ns(rows[index, CAN_ID_AT:], bitrate, data_bitrate)
     return busy_ns
+
+
+@njit(cache=True, nogil=True)
+def _time_ns(row: Any, bitrate: int, data_bitrate: int) -> int:
+    nominal, data = count_bits(row)
+    return int(np.rint((nominal / bitrate + data / data_bitrate) * 1e9))

@@ -66,12 +66,13 @@ class Batch(NamedTuple):
 def batch_of(arrived: Frames, bus: int, table: FrameTable | PartTable) -> Batch:
     """Look through the frames that arrived on a bus; `table` has the frames with sums."""
     rows, places = frame_bytes(arrived), np.empty(len(arrived), np.int64)
-    tells_loss, echoes, other_syncs, talk = _sort(rows, bus, table, places)
+    tells_loss, echoes, other_syncs, talk = sort(rows, bus, table, places)
     return Batch(bus, rows, places, tells_loss, echoes, other_syncs, arrived[talk] if talk else arrived[:0])
 
 
 @njit(cache=True, nogil=True)
-def _sort(rows: Rows, bus: int, table: FrameTable | PartTable, places: Places) -> tuple[bool, int, int, list[int]]:
+def sort(rows: Rows, bus: int, table: FrameTable | PartTable, places: Places) -> tuple[bool, int, int, list[int]]:
+    """Look through frames as `batch_of`; `talk` is where the frames of that are."""
     (rows, places), table = borrowed((rows, places)), borrowed(table)
     tells_loss, echoes, other_syncs, talk = False, 0, 0, [0 for _ in range(0)]
     for place in range(rows.shape[0]):

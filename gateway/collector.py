@@ -21,6 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from bus.intake import CAME
 from canskin.messages import FrameCounts
 from dbc.codec import read_raw
 from dbc.contract import Contract, FrameTable
@@ -41,7 +42,8 @@ from gateway.open_cycles import (
 )
 from gateway.proven_blocks import ProvenBlocks
 from gateway.sync_times import NO_STAMPS, SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
-from shell.compiled import borrowed, hold, njit
+from gateway.turn import wait_and_sort
+from shell.compiled import Held, borrowed, hold, njit
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: SYNCs without a frame that names an open cycle, after which the next frames of an identifier are doubtful.
@@ -151,6 +153,21 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
             state.counts[FOREIGN if frame == STRANGE else MALFORMED] += 1
         else:
             _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, turns, table, state)
+
+
+@njit(cache=True, nogil=True)
+def take_turn(rest_ns: int, wait_ns: int, turns: int, held: Any, turn: Any) -> int:
+    """Wait for frames and use those of calm buses; `turn` is a `gateway.turn.Turn` that is held.
+
+    Return how many buses are not calm.
+    """
+    now = borrowed(turn.value)
+    restless = wait_and_sort(rest_ns, wait_ns, borrowed(held.value)[0], now)
+    for bus in range(now.is_calm.size):
+        count = now.intake.told[bus, CAME]
+        if now.is_calm[bus] and count:
+            take_all(now.intake.rows[bus, :count], now.places[bus], bus, 0, turns, held)
+    return restless
 
 
 @njit(cache=True, nogil=True)
@@ -311,6 +328,7 @@ class Collector:
         # What runs in each cycle is compiled before the first.
         self.open(1)
         self.take(batch_of(frames(0), 0, self._table), None)
+        self.is_settled(1)
         self.close(1)
         self._begin_anew()
 
@@ -378,6 +396,10 @@ class Collector:
         """
         error_ns = NO_STAMPS if stamp_error_ns is None else stamp_error_ns
         take_all(batch.rows, batch.places, batch.bus, error_ns, self._contract.turns, self._held)
+
+    def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
+        """Do what `take_turn` does."""
+        return take_turn(rest_ns, wait_ns, self._contract.turns, self._held, turn)
 
     def lost(self, bus: int) -> None:
         """Take note that frames of a bus were lost, a foreign SYNC perhaps."""

@@ -16,6 +16,7 @@ from gateway.batch import Batch
 from gateway.collector import Collector
 from gateway.gathering import Health, Sync
 from gateway.open_cycles import slot_of
+from shell.compiled import Held
 
 #: Frames of a bus that may wait unread: receive buffers hold twice as many.
 MOST_UNREAD: Final = 64
@@ -101,6 +102,10 @@ class CycleGathering:
             self.collector.lost(batch.bus)
         self.collector.take(batch, health.stamp_error_ns)
         self._has_stamps[batch.bus] = health.stamp_error_ns is not None
+
+    def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
+        """Wait for frames and use those of calm buses, see `gateway.turn`; return how many buses are not calm."""
+        return self.collector.turn(rest_ns, wait_ns, turn)
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles closed for it."""

@@ -5,12 +5,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dbc.stuff_bits import add_times
+from dbc.stuff_bits import time_of_all_ns
 from skin.layout import Bus
 
 #: A load of less time says nothing: the sums of one SYNC come together.
 LEAST_S: Final = 0.1
-_UNKEPT: Final = np.empty(0, np.int64)
 
 
 class LoadMeter:
@@ -20,34 +19,36 @@ class LoadMeter:
     ----------
     wires : Bus
         Bit rates.
+    busy_ns : array of int64, shape (1,)
+        Counts the time of frames; compiled code (`gateway.turn`) may add to it, too.
     """
 
-    def __init__(self, wires: Bus, now_s: float) -> None:
+    def __init__(self, wires: Bus, now_s: float, busy_ns: npt.NDArray[np.int64]) -> None:
         self._rates = wires.bitrate, wires.data_bitrate or wires.bitrate
-        self._busy_ns = self._total_busy_ns = 0
+        self._busy_ns, self._told_ns = busy_ns, 0
         self._since_s = self._start_s = now_s
 
     def take(self, rows: npt.NDArray[np.uint8]) -> None:
         """Add frames of the bus, the gateway's own included; see `gateway.batch.Batch`."""
-        self._busy_ns += add_times(rows, *self._rates, _UNKEPT)
+        self._busy_ns[0] += time_of_all_ns(rows, *self._rates)
 
     def restart(self, now_s: float) -> None:
         """Clear the load and count from `now_s`, the start of SYNC."""
-        self._busy_ns = self._total_busy_ns = 0
+        self._busy_ns[0] = self._told_ns = 0
         self._since_s = self._start_s = now_s
 
     def take_ratio(self, now_s: float) -> float:
         """Return the load since the last call, and begin anew; 0 if that is less than `LEAST_S` ago."""
         if now_s - self._since_s < LEAST_S:
             return 0.0
-        load_ratio = _ratio(self._busy_ns, now_s - self._since_s)
-        self._total_busy_ns += self._busy_ns
-        self._busy_ns, self._since_s = 0, now_s
+        busy_ns = int(self._busy_ns[0])
+        load_ratio = _ratio(busy_ns - self._told_ns, now_s - self._since_s)
+        self._told_ns, self._since_s = busy_ns, now_s
         return load_ratio
 
     def mean_ratio(self, now_s: float) -> float:
         """Return the load since `restart`."""
-        return _ratio(self._total_busy_ns + self._busy_ns, now_s - self._start_s)
+        return _ratio(int(self._busy_ns[0]), now_s - self._start_s)
 
 
 def _ratio(busy_ns: int, elapsed_s: float) -> float:

@@ -26,6 +26,8 @@ from gateway.outgoing import Outgoing
 from gateway.sdo import TIMEOUT_S
 from gateway.stepped_gathering import RATES_HZ, SteppedGathering
 from gateway.sync_clock import LATEST, SyncClock
+from gateway.turn import Turn, new_turn
+from shell.compiled import Held
 from skin.ranges import ranges_text
 
 #: Period of `_look_after_nodes`.
@@ -100,6 +102,7 @@ class GatewayLoop:
     ) -> None:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
+        self._busy_ns = np.zeros(len(contract.layout.bus), np.int64)
         self._say, self._complain = say, complain
         self._buses = {
             number: self._bus(number, send, now_s, has_echoes=number not in early_echoes)
@@ -133,6 +136,14 @@ class GatewayLoop:
         """Until when frames may wait unread."""
         return min(self.sync.due_s, self.gathering.may_sleep_until_s)
 
+    def new_turn(self) -> Turn:
+        """Return what `turn` needs, without links yet."""
+        return new_turn(self._contract.layout.bus, self._busy_ns)
+
+    def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
+        """Wait for frames and use those of calm buses, see `gateway.turn`; return how many buses are not calm."""
+        return self.gathering.turn(rest_ns, wait_ns, turn)
+
     def take(
         self,
         number: int,
@@ -142,8 +153,10 @@ class GatewayLoop:
         state: State = State.ACTIVE,
         dropped: int = 0,
         stamp_error_ns: int | None,
-    ) -> None:
+    ) -> bool:
         """Use the frames that arrived on a bus, in bus order; none is a look at the link.
+
+        Return whether the bus has a gap: then the link has to be looked at again soon, whatever comes.
 
         Parameters
         ----------
@@ -158,7 +171,7 @@ class GatewayLoop:
         bus.health.look(state, dropped, stamp_error_ns, tells_loss=batch.tells_loss)
         bus.watch.look(state)
         if not len(arrived) and not bus.health.has_gap:
-            return
+            return False
         bus.outgoing.take(batch.echoes, has_gap=bus.health.has_gap)
         if now_s < bus.asked_until_s and has_answer(batch.talk):
             bus.asked_until_s = -np.inf
@@ -170,6 +183,7 @@ class GatewayLoop:
         self.gathering.take(batch, bus.health, now_s)
         bus.other_syncs += batch.other_syncs
         bus.load.take(batch.rows)
+        return bus.health.has_gap
 
     def tick(self, now_s: float) -> None:
         """Do all that is due at `now_s`, except SYNC and measurements: most of it each `TICK_S`."""
@@ -274,7 +288,16 @@ class GatewayLoop:
         trusts: list[tuple[NodeContract, bool]] = []
         master = NmtMaster(self._contract, number, outgoing.put, lambda *found: trusts.append(found), self._say)
         places = [place for place, node in enumerate(self._contract.nodes) if node.bus == number]
-        return _Bus(wires.name, send, master, outgoing, watch, LoadMeter(wires, now_s), places, trusts)
+        return _Bus(
+            wires.name,
+            send,
+            master,
+            outgoing,
+            watch,
+            LoadMeter(wires, now_s, self._busy_ns[number : number + 1]),
+            places,
+            trusts,
+        )
 
     def _trust(self, bus: _Bus) -> None:
         """Tell the gathering what the master of a bus has found."""

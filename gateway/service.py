@@ -1,12 +1,13 @@
 """The gateway's process: receives frames, sends SYNC at absolute times, publishes measurements."""
 
-import select
 import time
 from collections.abc import Callable, Mapping
 from typing import Final
 
 import msgspec
+import numpy as np
 
+from bus.intake import DROPPED, IS_READY, Readable, attach
 from bus.link import Link
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, Measurement
@@ -17,6 +18,7 @@ from gateway.loop import GatewayLoop
 from gateway.sdo import TIMEOUT_S
 from gateway.stepped_gathering import RATES_HZ
 from shell.clock import wall_offset
+from shell.compiled import hold
 from shell.pulse import Beat, unheard
 from shell.service import RateLimitedLog, StopSignal, request_real_time, say
 
@@ -65,7 +67,11 @@ class GatewayService:
             rates_hz=rates_hz,
             early_echoes=[number for number, link in links.items() if not link.proves_echo],
         )
-        self._links = dict(links)
+        self._links = dict(sorted(links.items()))
+        self._turn = self.loop.new_turn()
+        self._held = hold(self._turn)
+        self.loop.turn(0, 0, self._held)  # compiled before there is a frame
+        attach(list(self._links.values()), self._turn.intake)
         self._fabric = fabric
         self._clock = clock
         self._status_at_s = 0.0
@@ -111,23 +117,12 @@ class GatewayService:
 
         The clock is read before each step: any step may be delayed, and the lateness of SYNC must be known.
         """
-        time.sleep(max(0.0, min(self.loop.may_sleep_until_s - self._clock(), TURN_S)))
-        timeout_s = max(0.0, min(self.loop.due_s - self._clock(), TURN_S))
-        # select() and not epoll: the timeout of select() has a resolution of microseconds.
-        ready, _, _ = select.select(list(self._links.values()), [], [], timeout_s)
+        restless = self.loop.turn(*self.waits_ns(), self._held)
         if self.loop.due_s <= self._clock():
             self._wall_offset_ns = wall_offset().ns
         closed = self.loop.send_sync(self._clock(), self._wall_offset_ns)
-        for number, link in self._links.items():
-            arrived = link.receive() if link in ready else _NOTHING
-            self.loop.take(
-                number,
-                arrived,
-                self._clock(),
-                state=link.state,
-                dropped=link.dropped,
-                stamp_error_ns=link.stamp_error_ns,
-            )
+        if restless:
+            self._take()
         self.loop.tick(self._clock())
         if self._calibration is not None:
             self._calibration.look(self.loop.masters, self._clock())
@@ -139,6 +134,31 @@ class GatewayService:
         if self._clock() >= self._status_at_s:
             self._status_at_s = self._clock() + STATUS_PERIOD_S
             self.publish_status()
+
+    def waits_ns(self) -> tuple[int, int]:
+        """Return for how long to rest, and for how long to wait for frames, the rest included."""
+        now_s = self._clock()
+        rest_s, wait_s = self.loop.may_sleep_until_s - now_s, self.loop.due_s - now_s
+        return round(1e9 * max(0.0, min(rest_s, TURN_S))), round(1e9 * max(0.0, min(wait_s, TURN_S)))
+
+    def _take(self) -> None:
+        """Use the frames of the buses that are not calm, and look at their links."""
+        told, rows = self._turn.intake.told, self._turn.intake.rows
+        for number in np.flatnonzero(~self._turn.is_calm).tolist():
+            link, arrived = self._links[number], _NOTHING
+            if isinstance(link, Readable):
+                arrived = link.arrived(rows[number])
+            elif told[number, IS_READY]:
+                arrived = link.receive()
+            self._turn.dropped[number] = told[number, DROPPED]
+            self._turn.is_restless[number] = self.loop.take(
+                number,
+                arrived,
+                self._clock(),
+                state=link.state,
+                dropped=link.dropped,
+                stamp_error_ns=link.stamp_error_ns,
+            )
 
     def publish(self, measurements: list[Measurement]) -> None:
         """Publish measurements with their offsets."""

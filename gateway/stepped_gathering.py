@@ -18,19 +18,21 @@ from gateway.batch import Batch, batch_of
 from gateway.block_states import judge, new_states
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
-from gateway.stepped_state import COUNTED, NEVER_NS, forget, new_sums, slots_of, take_all
+from gateway.stepped_state import COUNTED, NEVER_NS, forget, new_sums, slots_of, take_all, take_turn
 from gateway.sum_requests import SumRequests
-from shell.compiled import hold
+from shell.compiled import Held, hold
 
 #: Measurements in a second, with news and at least; the limits of other rates.
 RATES_HZ: Final = (250.0, 10.0)
 RATE_MAX_HZ: Final = 1000.0
 RATE_MIN_HZ: Final = 1.0
 #: Boards near a touch send one after the other in each slot, and rest then: a measurement is made this long after the
-#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later.
-AFTER_NEWEST_S: Final = 0.0004
-SOONER_S: Final = 0.0002
+#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later; both count
+#: from when the one before was due, if its turn was late by at most `LATE_S`.
+AFTER_NEWEST_S: Final = 0.0005
+SOONER_S: Final = 0.0003
 LATER_S: Final = 0.0001
+LATE_S: Final = 0.001
 #: Longest time for which frames wait unread: a request for a missing group waits for its turn, too.
 REST_MAX_S: Final = 0.02
 
@@ -103,12 +105,13 @@ class SteppedGathering:
         self._median_n = 0.0
         self._buses = {number: self._bus(number, master) for number, master in masters.items()}
         self._counter = 0
+        self._news = np.zeros((len(contract.layout.bus), 2), np.int64)
         #: When the newest frame ended that is in the sums; before the first, the start.
         self._newest_ns = round(now_s * 1e9)
         #: Bound of the age of its sample, with the error of its time stamp.
         self._newest_error_ns = UNKNOWN_ERROR_NS
         self._published_s, self._has_news = now_s, False
-        #: When the next measurement comes; not before `_earliest_s`, so that no more come than are asked for.
+        #: When the next measurement comes; not before `_earliest_s`, so that hardly more come than are asked for.
         self._next_s = self._earliest_s = now_s
         # What runs for each frame is compiled before the first comes.
         self.take(batch_of(frames(0), next(iter(masters)), self._table), Health(), now_s)
@@ -152,12 +155,8 @@ class SteppedGathering:
         Frames before the end of a node's proof are not used, nor those that came together with it.
         """
         mine, state = self._buses[batch.bus], self._state
-        newest_ns, taken_ns = take_all(batch, self._known)
-        mine.newest_ns = max(mine.newest_ns, newest_ns)
-        if newest_ns > self._newest_ns:
-            error_ns, self._newest_ns = health.stamp_error_ns, newest_ns
-            self._newest_error_ns = UNKNOWN_ERROR_NS if error_ns is None else taken_ns + SAMPLE_NS + error_ns
-        self._has_news |= newest_ns > NEVER_NS or health.is_down != mine.is_down
+        self._note(mine, *take_all(batch, self._known), health.stamp_error_ns)
+        self._has_news |= health.is_down != mine.is_down
         if batch.other_syncs:
             self._has_news = True
             state.missing[mine.parts] = self._all_missing[mine.parts]
@@ -167,6 +166,23 @@ class SteppedGathering:
         if health.has_returned:
             mine.sum_requests.again()
         self._use_proven(mine, now_s)
+
+    def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
+        """Wait for frames and use those of calm buses, see `gateway.turn`; return how many buses are not calm."""
+        restless = take_turn(rest_ns, wait_ns, self._known, turn, self._news)
+        for bus, (newest_ns, taken_ns) in enumerate(self._news.tolist()):
+            if newest_ns > NEVER_NS:
+                self._note(self._buses[bus], newest_ns, taken_ns, 0)
+        return restless
+
+    def _note(self, bus: _Bus, newest_ns: int, taken_ns: int, stamp_error_ns: int | None) -> None:
+        """Take note of the newest frame that came on a bus."""
+        bus.newest_ns = max(bus.newest_ns, newest_ns)
+        if newest_ns > self._newest_ns:
+            self._newest_ns = newest_ns
+            error_ns = stamp_error_ns
+            self._newest_error_ns = UNKNOWN_ERROR_NS if error_ns is None else taken_ns + SAMPLE_NS + error_ns
+        self._has_news |= newest_ns > NEVER_NS
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Take note of a SYNC."""
@@ -187,9 +203,10 @@ class SteppedGathering:
     def measure(self, now_s: float, wall_offset_ns: int) -> SteppedMeasurement:
         """Return a measurement, due or not."""
         self._published_s, self._has_news = now_s, False
-        self._earliest_s = max(self._earliest_s + self._shortest_s, now_s)
+        self._earliest_s = max(self._earliest_s, now_s - 2 * self._shortest_s) + self._shortest_s
         sooner_s = min(max(now_s - 1e-9 * self._newest_ns - AFTER_NEWEST_S, -LATER_S), SOONER_S)
-        self._next_s = max(self._earliest_s, now_s + self._shortest_s - sooner_s)
+        due_s = max(self._next_s, now_s - LATE_S)
+        self._next_s = max(self._earliest_s, due_s + self._shortest_s - sooner_s)
         self._judge(now_s)
         shown = self._shown
         self.published += 1

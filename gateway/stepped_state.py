@@ -20,6 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from bus.intake import CAME
 from dbc.contract import Contract, PartTable
 from dbc.dictionary import slot_offset_us
 from dbc.frame import DATA_AT, TIME_AT
@@ -44,6 +45,7 @@ from dbc.steps import (
     read_word,
 )
 from gateway.batch import NOTHING, OWN_SYNC, WRONG, Batch, Places, Rows
+from gateway.turn import wait_and_sort
 from shell.compiled import borrowed, njit
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -206,6 +208,22 @@ def take_rows(rows: Rows, places: Places, bus: int, known: Any) -> tuple[int, in
             begun_ns = age * slots.slot_ns + since_ns % slots.slot_ns
             newest_ns, taken_ns = ended_ns, max(0, begun_ns - slots.offset_ns[table.block[first]])
     return newest_ns, taken_ns
+
+
+@njit(cache=True, nogil=True)
+def take_turn(rest_ns: int, wait_ns: int, known: Any, turn: Any, news: Integers) -> int:
+    """Wait for frames and use those of calm buses; `turn` is a `gateway.turn.Turn` that is held.
+
+    Write what `take_all` returns into `news`, shape (buses, 2), and return how many buses are not calm.
+    """
+    now = borrowed(turn.value)
+    restless = wait_and_sort(rest_ns, wait_ns, borrowed(known.value)[2], now)
+    for bus in range(now.is_calm.size):
+        count = now.intake.told[bus, CAME]
+        news[bus, 0] = NEVER_NS
+        if now.is_calm[bus] and count:
+            news[bus, 0], news[bus, 1] = take_rows(now.intake.rows[bus, :count], now.places[bus], bus, known)
+    return restless
 
 
 @njit(cache=True, nogil=True)

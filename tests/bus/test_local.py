@@ -1,6 +1,7 @@
 """Links of the process that serves the buses: they hear and send the same as clients on sockets."""
 
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -27,19 +28,14 @@ def heard(server: BusServer, links: list[Link], count: int) -> list[Frames]:
 
 
 def test_local_and_other_links_hear_each_other() -> None:
-    with BusServer(["bus0", "bus1"], BusSettings()) as server:
+    with BusServer(["bus0", "bus1"], BusSettings()) as server, ExitStack() as stack:
         own = server.join("bus0", "nodes")
-        with server.beside(), linked("gateway") as clients:
-            pass  # a client is welcomed while the process waits for something else
-        with server.beside():
-            client = linked("gateway")
-            (gateway,) = client.__enter__()
+        with server.beside():  # a client is welcomed while the process waits for something else
+            (gateway,) = stack.enter_context(linked("gateway"))
         sent = np.concatenate([frame(0x180 + port, port=port) for port in (3, 1, 2)])
         assert own.send(sent) == 3
         gateway.send(frame(0x80, b"\1"))
         mine, theirs = heard(server, [own, gateway], 4)
-        client.__exit__(None, None, None)
-        assert clients[0].state is State.LOST
     assert sorted(mine["can_id"].tolist()) == sorted(theirs["can_id"].tolist()) == [0x80, 0x181, 0x182, 0x183]
     assert (mine["time_ns"] == theirs["time_ns"]).all()
     is_sums = mine["can_id"] > 0x80

@@ -14,8 +14,12 @@ PLAIN = frame(0x555, b"\x55" * 8)
 FRAME_S = 111 / 500_000
 
 
+def meter(now_s: float) -> LoadMeter:
+    return LoadMeter(WIRES, now_s, np.zeros(1, np.int64))
+
+
 def test_load_is_the_time_of_the_frames_over_the_time_since_the_last_look() -> None:
-    load = LoadMeter(WIRES, 10.0)
+    load = meter(10.0)
     load.take(frame_bytes(np.repeat(PLAIN, 100)))
     assert load.take_ratio(11.0) == pytest.approx(100 * FRAME_S, rel=0.05)
     assert load.take_ratio(12.0) == 0.0
@@ -24,7 +28,7 @@ def test_load_is_the_time_of_the_frames_over_the_time_since_the_last_look() -> N
 
 
 def test_mean_load_counts_from_the_restart() -> None:
-    load = LoadMeter(WIRES, 10.0)
+    load = meter(10.0)
     load.take(frame_bytes(np.repeat(PLAIN, 100)))
     load.take(frame_bytes(PLAIN))
     load.restart(20.0)
@@ -35,7 +39,7 @@ def test_mean_load_counts_from_the_restart() -> None:
 
 
 def test_own_frames_take_time_and_frames_given_back_take_none() -> None:
-    load = LoadMeter(WIRES, 0.0)
+    load = meter(0.0)
     own, unsent = PLAIN.copy(), PLAIN.copy()
     own["flags"], unsent["flags"] = ECHO, ECHO | ERROR
     load.take(frame_bytes(np.concatenate((own, unsent))))
@@ -43,6 +47,6 @@ def test_own_frames_take_time_and_frames_given_back_take_none() -> None:
 
 
 def test_no_time_is_no_load() -> None:
-    load = LoadMeter(WIRES, 1.0)
+    load = meter(1.0)
     load.take(frame_bytes(PLAIN))
     assert load.take_ratio(1.0) == load.mean_ratio(1.0) == 0.0

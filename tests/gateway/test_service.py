@@ -1,6 +1,5 @@
 """The gateway's turn of input and output, with a clock that stalls where a process may."""
 
-import select
 import socket
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -25,8 +24,7 @@ from tests.messages import Published, bus_state, gateway_status
 @pytest.fixture(autouse=True)
 def _no_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no turn wait: the tests move the clock."""
-    polls = SimpleNamespace(select=lambda *links_and_timeout: select.select(*links_and_timeout[:3], 0))
-    monkeypatch.setattr("gateway.service.select", polls)
+    monkeypatch.setattr(GatewayService, "waits_ns", lambda _service: (0, 0))
     monkeypatch.setattr("gateway.service.time", SimpleNamespace(sleep=lambda _rest_s: None))
 
 
