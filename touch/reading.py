@@ -1,5 +1,6 @@
 """Reading a recording's arrays from a file: ``.npz``, ``.npy`` or ``.mcap``, never a pickle."""
 
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -69,8 +70,7 @@ def array_names(path: Path) -> tuple[str, ...]:
     try:
         with path.open("rb") as file:
             check_unpacked(file, f"'{path}'")
-            with np.load(file, allow_pickle=False) as loaded:
-                return tuple(name for name in loaded.files if len(_shape(loaded, name)) == 3)
+            return tuple(name for name, shape in _shapes(file).items() if len(shape) == 3)
     except InputError:
         raise
     except Exception as error:  # see `read_counts`
@@ -115,11 +115,11 @@ def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict
             raise InputError(f"'{path}' holds no array: expected one of shape (time, rows, columns)")
         wanted = list(arrays or ())
         if arrays is None:
-            shapes = {name: _shape(loaded, name) for name in found}
+            shapes = _shapes(file)
             wanted = [name for name, shape in shapes.items() if len(shape) == 3][:1]
             if not wanted:
                 got = ", ".join(f"'{name}' of shape {shape}" for name, shape in shapes.items())
-                raise InputError(f"'{path}' holds {got}: expected an array of shape (time, rows, columns)")
+                raise InputError(f"'{path}' holds {got}: expected (time, rows, columns) of an array")
         if not wanted:
             raise InputError(f"no array named: '{path}' holds {', '.join(found)}")
         for name in wanted:
@@ -128,12 +128,16 @@ def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict
         return {name: np.asarray(loaded[name]) for name in wanted}
 
 
-def _shape(loaded: np.lib.npyio.NpzFile, name: str) -> tuple[int, ...]:
-    """Return the shape of an array without reading its values; of a table with names none."""
-    with loaded.zip.open(name if name in loaded.zip.namelist() else f"{name}.npy") as file:
-        version = np.lib.format.read_magic(file)
-        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-        return header(file)[0] if header else ()
+def _shapes(file: BinaryIO) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of an ``.npz`` without reading its values; of a table with names none."""
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    found: dict[str, tuple[int, ...]] = {}
+    with zipfile.ZipFile(file) as archive:
+        for name in archive.namelist():
+            with archive.open(name) as member:
+                header = headers.get(np.lib.format.read_magic(member)) if name.endswith(".npy") else None
+                found[name.removesuffix(".npy")] = header(member)[0] if header else ()
+    return found
 
 
 def _check(what: str, counts: Counts) -> None:

@@ -22,7 +22,7 @@ from touch.strokes import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touc
 
 #: Most other arrays of a file that the log names.
 NAMED: Final = 8
-#: A recording whose median is above this part of the largest force is no recording of touches on a skin at rest.
+#: Part of the largest force above which the rest of a recording is told.
 HIGH_REST: Final = 0.25
 #: Objects are pressed at about this rate; at the steps of a higher rate forces are interpolated.
 POSES_HZ: Final = 100.0
@@ -210,7 +210,7 @@ def recording(
             f"{high} x {wide} taxels of {Path(path).name} lie in the middle of a skin of {rows} x {columns}:"
             f" the taxels around them feel nothing",
         )
-    if (rest := played.rest_n()) > HIGH_REST * force_max_n:
+    if (rest := played.rest_n) > HIGH_REST * force_max_n:
         say(
             "recording",
             f"{Path(path).name} is high at rest: half of its values are played as {1e3 * rest:.3g} mN or more, of"
