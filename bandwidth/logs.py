@@ -218,6 +218,7 @@ def _check(message: can.Message) -> None:
     if message.dlc < 0 or len(message.data) > longest:
         raise ValueError(f"a frame of {max(message.dlc, len(message.data))} bytes")
     message.dlc = min(message.dlc, longest)
+    message.is_extended_id &= not message.is_error_frame  # of some formats alone
 
 
 def listen(links: dict[int, Link], seconds: float, stopped: Callable[[], bool]) -> dict[int, Frames]:
