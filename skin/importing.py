@@ -76,6 +76,8 @@ def tables_of(text: str, modules: Path | None = None) -> tuple[dict[str, Any], l
         What the file has, and was left out.
     """
     path = Path(text)
+    if modules is not None and path.suffix.lower() != ".txt":
+        raise LayoutError(f"{text}: an .ini of modules is of an iCub's position file (.txt): leave out --ini")
     if found := re.fullmatch(r"(\d+)[xX×*](\d+)", text):
         return {"taxels": dict(zip(("rows", "columns"), map(int, found.groups()), strict=True))}, []
     match path.suffix.lower():

@@ -103,7 +103,7 @@ def read_numbers(path: Path, kind: type[SkinError], what: str) -> npt.NDArray[np
             decimal = text if separator == "," else text.replace(",", ".")
             return np.loadtxt(StringIO(decimal), np.float64, delimiter=separator, ndmin=2)
     except (ValueError, UserWarning) as error:
-        raise kind(f"{path}: cannot read {what}: {error}") from error
+        raise kind(f"{path}: cannot read {what}: expected lines of numbers: {error}") from error
 
 
 def _separator(text: str) -> str:
