@@ -12,7 +12,7 @@ from bus import options
 from bus.link import Send
 from commissioning import scan_command, talk
 from commissioning.scan import Scan
-from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SYNC_COB_ID
+from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from dbc.frame import Frames, frames
 from tests.bus.harness import frame
 from tests.processes import Verb
@@ -40,6 +40,36 @@ def test_a_node_that_another_master_always_asks_is_listed_as_busy() -> None:
     assert scan.done
     assert SDO_REQUEST_BASE + DRIVE not in sent
     assert {node_id: each.is_busy for node_id, each in scan.nodes.items()} == {DRIVE: True}
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        ("8000100000000006", "object 1000h:0: abort 06000000h"),
+        ("8000100001000405", "no answer to object 1000h:0 but abort 05040001h, command"),
+        ("4318100001000000", "no answer to object 1000h:0 but 4318100001000000, which is of object 1018h:0"),
+        ("4f00100001", "no answer to object 1000h:0 but 4F00100001, which has 5 bytes, not 8"),
+        ("4200100092010200", ""),
+    ],
+)
+def test_a_node_that_refuses_is_listed_with_its_last_answer(answer: str, says: str) -> None:
+    asked: list[bytes] = []
+
+    def send(burst: Frames) -> int:
+        asked.extend(each["data"].tobytes() for each in burst if each["can_id"] == SDO_REQUEST_BASE + DRIVE)
+        return len(burst)
+
+    def take(scan: Scan, now_s: float) -> None:
+        if now_s < 0.015:
+            scan.take(frame(HEARTBEAT_BASE + DRIVE, b"\5"), now_s)
+        if asked and asked.pop()[1:3] == b"\0\x10":
+            scan.take(frame(SDO_RESPONSE_BASE + DRIVE, bytes.fromhex(answer)), now_s)
+
+    node = scan_beside(send, take).nodes[DRIVE]
+    if says:
+        assert (node.device_type, node.refusal) == (None, says)
+    else:
+        assert node.device_type == 0x00020192
 
 
 class Heard:
