@@ -21,6 +21,7 @@ from dbc.canopen import SDO_RESPONSE_BASE
 from dbc.contract import LONGEST_VALUE, Contract, NodeContract
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, one_frame, received
+from dbc.values import decode
 from gateway.sdo import Download, Read, SdoDialogue, Transfer, Write, one
 from skin.limits import TEXT_BYTES_MAX, read_file
 
@@ -68,11 +69,7 @@ class Entry:
 
     def decode(self, data: bytes) -> int | float | str | bool:
         """Return a value, of a type that is not known its bytes in hexadecimal."""
-        try:
-            value = self.variable.decode_raw(data)
-        except (struct.error, canopen.ObjectDictionaryError, UnicodeDecodeError):
-            return data.hex(" ")
-        return value.hex(" ") if isinstance(value, bytes) else value
+        return decode(self.variable.data_type, data)
 
     def encode(self, text: str) -> bytes:
         """Return the bytes of a value; InputError if the text is no value of the type."""
@@ -209,7 +206,7 @@ class NodeTransfers:
     def _begin(self, now_s: float) -> None:
         entry, data = self._left[0]
         if not data:
-            transfer: Transfer = Read(entry.index, entry.subindex)
+            transfer: Transfer = Read(entry.index, entry.subindex, entry.variable.data_type)
         elif len(data) <= _EXPEDITED:
             transfer = Write(entry.index, entry.subindex, data)
         else:

@@ -165,6 +165,8 @@ class NodeMachine:
         start, and the beginning of the newest proof.
     refusal : str
         Why the node is refused; empty in the other states.
+    unanswered : str
+        Why the newest proof that failed has no result.
     dialogue : SdoDialogue or None
         The open proof, in the states `*CHECKED`.
     errand : SdoDialogue or None
@@ -199,6 +201,7 @@ class NodeMachine:
     started_ns: int | None = 0
     proven_s: float = -np.inf
     refusal: str = ""
+    unanswered: str = ""
     dialogue: SdoDialogue | None = None
     errand: SdoDialogue | None = None
     began_s: float = -np.inf
@@ -227,7 +230,7 @@ class NodeMachine:
         if self.nmt == SILENT and self.heard_s == -np.inf:
             return NodeFault(Fault.AWAY if self.contract.is_optional else Fault.ABSENT)
         if self.nmt != SILENT and self.tries >= _IN_VAIN and self.loss.kind in {Fault.STARTING, Fault.SILENT}:
-            return NodeFault(Fault.UNANSWERED, f"{self.tries} proofs begun in vain")
+            return NodeFault(Fault.UNANSWERED, f"{self.tries} proofs begun in vain{self.unanswered}")
         return self.loss
 
     @property
@@ -386,6 +389,7 @@ class NodeMachine:
         self.asked = True
         proof = dialogue.result
         if not isinstance(proof, Proof):
+            self.unanswered = f": {dialogue.error}"
             self._happen(Event.UNANSWERED, now_s)
             return
         self.cost, self.is_other_device = proof.cost, proof.is_other_device

@@ -218,7 +218,7 @@ def _signature_is_right(expected: int, known: Known, proof: Proof) -> Generator[
 
 def _read_signature(index: int) -> Generator[Transfer, bytes, int]:
     try:
-        return int.from_bytes((yield Read(index)), "little")
+        return int.from_bytes((yield Read(index, 0, od.UNSIGNED32)), "little")
     except SdoAbortedError:
         return NO_SIGNATURE
 
@@ -242,7 +242,7 @@ def _values(settings: Sequence[Setting]) -> Generator[Transfer, bytes, dict[tupl
     found = {}
     for each in settings:
         try:
-            found[each.index, each.subindex] = yield Read(each.index, each.subindex)
+            found[each.index, each.subindex] = yield Read(each.index, each.subindex, each.data_type)
         except SdoAbortedError:
             found[each.index, each.subindex] = b""
     return found
@@ -253,8 +253,8 @@ def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list
     wrong = []
     # The identity first: another device may have none of the other objects.
     for setting in sorted(settings, key=lambda each: each.index != od.IDENTITY):
-        data = yield Read(setting.index, setting.subindex)
-        if not setting.matches(data):
+        data = yield Read(setting.index, setting.subindex, setting.data_type)
+        if data != setting.data:
             wrong.append((setting, data))
             if setting.index == od.IDENTITY:
                 break

@@ -303,8 +303,8 @@ def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> No
     node, doubts = small.nodes[0], []
     known = Known(calibration(small, node))
     steps = prove(configuration(small, node), 0x1234, known, write=True, in_use=True, doubt=doubts.append)
-    assert next(steps) == Read(od.CALIBRATION_SIGNATURE)
-    assert steps.send(little(7)) == Read(od.SIGNATURE)
+    assert next(steps) == Read(od.CALIBRATION_SIGNATURE, 0, od.UNSIGNED32)
+    assert steps.send(little(7)) == Read(od.SIGNATURE, 0, od.UNSIGNED32)
     read = steps.send(little(0))  # it computes no signature
     assert not doubts
     with pytest.raises(StopIteration) as ended:
