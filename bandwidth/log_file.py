@@ -14,7 +14,7 @@ from can.io import blf
 from can.io.generic import MessageReader, TextIOMessageReader
 from can.io.player import MESSAGE_READERS
 
-from recording.sinks import CANDUMP_ERROR
+from bus.messages import CANDUMP_ERROR
 from skin.limits import TEXT_BYTES_MAX
 
 #: Encodings by the bytes that a text begins with.
