@@ -122,6 +122,9 @@ def _tell(found: Search, layout: Layout, chosen: Candidate) -> None:
     say("plan", str(wiring(layout)))
     if scan := scan_words(layout):
         say("plan", scan)
+    sums, taxels = layout.measurement.sums, layout.taxels.there
+    none = ": nothing is compressed" * (sums >= taxels)
+    say("plan", f"{sums / taxels:.3g} sums per taxel, {sums} of {taxels}{none}")
     unfit = sum(not each.fits for each in found.candidates)
     say("plan", f"{chosen.words}: {chosen.load_words}; {unfit} others do not fit")
     if chosen.sending == "steps" and (lacking := found.nearest_in_cycles()):

@@ -150,15 +150,13 @@ def train(
     if touches < 0 or seed < 0:
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
     if out is not None:
-        check_output_path(out, "model")
+        check_output_path(out, "model", ".npz")
     if (choose != 0) != (layout_out is not None):
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
-        check_output_path(layout_out, "layout")
+        check_output_path(layout_out, "layout", ".toml")
         if layout is not None and layout_out.exists() and layout_out.samefile(layout):
             raise InputError(f"{layout_out}: is the layout that rows are chosen for; give --layout-out another name")
-        if out is not None and out.resolve() == layout_out.resolve():
-            raise InputError(f"{out}: is named for the model and for the layout: give --layout-out another name")
     count = touches or TOUCHES_PER_OBJECT * len(names)
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)
@@ -186,7 +184,7 @@ def _train_recorded(
 
     if out is None:
         raise InputError("--recordings: expected --out FILE for the model, for 'skin classify --model FILE'")
-    check_output_path(out, "model")
+    check_output_path(out, "model", ".npz")
     with progress("reading recordings", 1.0) as bar:
         data = labelled_touches(recordings, layout, noise_n=noise_n, seed=seed)
         model = train_recorded(

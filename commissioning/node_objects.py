@@ -23,7 +23,7 @@ from dbc.eds import eds, node_types
 from dbc.frame import Frames, one_frame, received
 from dbc.values import decode
 from gateway.sdo import Download, Read, SdoDialogue, Transfer, Write, one
-from skin.limits import TEXT_BYTES_MAX, read_file
+from skin.limits import TEXT_BYTES_MAX, read_text
 
 #: Names of CANopen's data types (CiA 301, table 44).
 _TYPES: Final = {value: name for name, value in vars(datatypes).items() if name.isupper() and isinstance(value, int)}
@@ -102,7 +102,7 @@ def entries_of_node(contract: Contract, node: NodeContract) -> list[Entry]:
 
 def entries_of_file(path: Path, node_id: int) -> list[Entry]:
     """Return the objects of an EDS or DCF file."""
-    text = read_file(path, InputError, "the objects", TEXT_BYTES_MAX).decode("utf-8", errors="replace")
+    text = read_text(path, InputError, "the objects", TEXT_BYTES_MAX)
     return _entries(text, node_id, str(path))
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from canskin.errors import LayoutError
-from skin.limits import TEXT_BYTES_MAX, read_file
+from skin.limits import TEXT_BYTES_MAX, read_text
 
 #: Identifiers of 11 and of 29 bits end here.
 BASE_ID_MAX: Final = 0x7FF
@@ -59,7 +59,7 @@ def _read_dbc(path: Path) -> list[dict[str, Any]]:
     from cantools.database.can import Database
 
     database = Database(strict=False)
-    text = read_file(path, LayoutError, "the messages", TEXT_BYTES_MAX).decode("cp1252", errors="replace")
+    text = read_text(path, LayoutError, "the messages", TEXT_BYTES_MAX)
     try:
         database.add_dbc_string(text)
     except Exception as error:  # of cantools, of its parser, of int

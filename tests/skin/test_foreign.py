@@ -36,8 +36,11 @@ def message(**keys: Any) -> dict[str, Any]:
     return {"name": "drive", "identifier": 0x185, **keys}
 
 
-def test_a_dbc_gives_identifiers_lengths_and_periods_and_the_layout_stands_for_itself(tmp_path: Path) -> None:
-    (tmp_path / "drives.dbc").write_text(DBC)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_a_dbc_gives_identifiers_lengths_and_periods_and_the_layout_stands_for_itself(
+    tmp_path: Path, encoding: str
+) -> None:
+    (tmp_path / "drives.dbc").write_bytes((DBC + 'CM_ BU_ Drive "größer als 5 µs";\n').encode(encoding))
     own = {"name": "sync", "identifier": 0x0F0, "length": 0, "period_s": 0.004}
     table = bus(foreign_dbc="drives.dbc", foreign=[own])
     (tmp_path / "palm.toml").write_text(tomli_w.dumps({"taxels": {"rows": 8, "columns": 8}, "bus": [table]}))
