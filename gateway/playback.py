@@ -83,6 +83,7 @@ class Playback:
         self._nodes = {(node.bus, node.node_id): node for node in contract.nodes}
         self._proofs = {number: InferredProofs([node.node_id for node in contract.on_bus(number)]) for number in sends}
         self._waiting: dict[int, list[Frames]] = {number: [] for number in sends}
+        self._sampled_ns = int(np.iinfo(np.int64).min)
         self._fed_ns = dict.fromkeys(sends, start_ns)
         self._ready = {number: _Ready(frames(0)) for number in sends}
         #: The newest cycles: counter, time of the first SYNC, and the buses whose SYNC has come.
@@ -133,8 +134,13 @@ class Playback:
         return made + self._take_made()
 
     def _take_made(self) -> list[Measurement]:
-        made, self._made = self._made, []
-        return list(calibrated(made, self._calibrator))
+        forward = []
+        for each in self._made:
+            if each.sampled_mono_ns >= self._sampled_ns:  # else its SYNC was stamped by a clock that was set back
+                self._sampled_ns = each.sampled_mono_ns
+                forward.append(each)
+        self._made = []
+        return list(calibrated(forward, self._calibrator))
 
     def status(self) -> GatewayStatus:
         """Return the counters of the gateway; the states of nodes are those of their newest heartbeats."""

@@ -139,11 +139,10 @@ def test_the_last_cycle_is_measured_also_when_a_frame_is_missing(
 
 
 @pytest.mark.parametrize("fall_s", [0.05, 0.5, 1e6])
-def test_times_of_measurements_do_not_fall(contract: Contract, bus_frames: dict[int, Frames], fall_s: float) -> None:
+def test_times_of_measurements_never_fall(contract: Contract, bus_frames: dict[int, Frames], fall_s: float) -> None:
     logged = {bus: seen.copy() for bus, seen in bus_frames.items()}
     for seen in logged.values():
         seen["time_ns"][len(seen) // 2 :] -= round(fall_s * 1e9)
     at_ns = np.array([each.sampled_mono_ns for part in play(contract, logged) for each in part.measurements])
     assert len(at_ns) > 1
-    # The SYNC of a cycle comes 10 µs later on the other bus, and a cycle may have one of them.
-    assert (np.diff(at_ns) >= -10_000).all()
+    assert (np.diff(at_ns) >= 0).all()
