@@ -112,7 +112,8 @@ def _tell(found: Search, layout: Layout, chosen: Candidate) -> None:
     from bandwidth.quality import is_quick, quality  # compiles a solver
 
     if is_quick(layout):
-        judged = quality(layout)
+        with progress("touches, for the images", None):
+            judged = quality(layout)
         say("plan", f"images, {judged.sums} sums: {judged.words}; the paper's bound is {judged.bound_sums:.0f} sums")
     else:
         say("plan", "images: not predicted, which takes longer than the search: 'skin plan FILE --quality'")
