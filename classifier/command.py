@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from canskin.errors import InputError
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
-from classifier.modelfile import load_model, save_model
+from classifier.modelfile import load_model, read_model, save_model
 from classifier.used_sums import classified_phi
 from shell.output import check_output_path, write_file
 from shell.pulse import Pulse
@@ -61,6 +61,8 @@ def classify(
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
         raise InputError("--model contains what it was trained on: leave --stroke out")
+    if model is not None:
+        read_model(model)  # before any wait for a hub
     skin = of.find("classifier", stop)
     classified = classified_phi(skin)
     if model is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from canskin.messages import SILENT, Fault, NodeFault
 from dbc.canopen import COMMANDED, NMT_COB_ID, NmtCommand, NmtState, state_text
 from dbc.configuration import Setting
-from dbc.contract import NodeContract
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S
 from gateway.foreign_sdo import GAINS, Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
@@ -102,6 +102,8 @@ class BusOfNodes:
 
     Attributes
     ----------
+    contract : Contract
+        Of the skin.
     send : callable
         Sends a classic frame: COB-ID and data.
     use : callable
@@ -118,6 +120,7 @@ class BusOfNodes:
         Nodes whose gains or offsets have become others since the list was last cleared, and not by the gateway.
     """
 
+    contract: Contract
     send: Send
     use: Callable[[NodeContract, bool], None]
     lines: GroupedLines
@@ -396,7 +399,7 @@ class NodeMachine:
         if proof.written:
             self._log(f"set right: {proof.written}", now_s)
         if proof.refusal:
-            self._happen(Event.WRONG, now_s, proof.refusal)
+            self._happen(Event.WRONG, now_s, proof.told(self.bus.contract))
             return
         if self.known.take(proof.gains):
             self.bus.recalibrated.append(self.contract)

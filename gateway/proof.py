@@ -16,6 +16,7 @@ from typing import Final
 from dbc import indices as od
 from dbc.canopen import COB_ID_INVALID
 from dbc.configuration import Setting
+from dbc.contract import Contract
 from gateway.foreign_sdo import CONFIGURATION, GAINS
 from gateway.sdo import Read, SdoAbortedError, Transfer, Write
 
@@ -45,6 +46,8 @@ class Proof:
         Why the node's sums must not be used; empty if they may.
     is_other_device : bool
         The node is refused because of its identity (1018h).
+    block : int or None
+        The block (2000h) of a node that is refused because it has another than the contract's.
     can_write : bool
         The node is refused because of objects that can all be written.
     written : str
@@ -60,12 +63,23 @@ class Proof:
 
     refusal: str = ""
     is_other_device: bool = False
+    block: int | None = None
     can_write: bool = False
     written: str = ""
     has_signature: bool = False
     gains: Gains = None
     is_one_read: bool = False
     cost: int = 1
+
+    def told(self, contract: Contract) -> str:
+        """Return the refusal, and of a board that is another of the skin which: its interface may be swapped."""
+        homes = [
+            f"{contract.layout.bus[each.bus].name} node {each.node_id}"
+            for each in contract.nodes
+            if each.block == self.block
+        ]
+        is_home = f"it is the board of {homes[0]}: are interfaces or boards swapped? " if homes else ""
+        return f"{is_home}{self.refusal}"
 
 
 @dataclass
@@ -192,6 +206,8 @@ def _prove_configuration(
     if wrong:
         proof.refusal, proof.can_write = _in_words(fixed or wrong), not fixed
         proof.is_other_device = any(setting.index == od.IDENTITY for setting, _ in fixed)
+        blocks = [int.from_bytes(data, "little") for setting, data in fixed if setting.index == od.BLOCK]
+        proof.block = blocks[0] if blocks else None
     elif proof.has_signature:
         proof.refusal = f"its objects are right, but not their signature ({od.SIGNATURE:04X}h)"
     if not proof.has_signature:

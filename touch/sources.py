@@ -9,7 +9,7 @@ import numpy as np
 from canskin.errors import InputError
 from recording import is_recording
 from shell.service import say
-from skin.ranges import require_above_zero, require_number
+from skin.ranges import listed, require_above_zero, require_number
 from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
 from skin.surface import Surface
 from skin.taxel import FORCE_MAX_N
@@ -189,7 +189,7 @@ def recording(
         raise InputError(
             f"a recording's rate (--rate) needs a number above 0, and the skin's: got {frame_rate_hz}, {rate_hz}"
         )
-    named = tuple(part.strip() for part in arrays.split(",")) if isinstance(arrays, str) else arrays
+    named = tuple(listed([arrays])) if isinstance(arrays, str) else arrays
     counts = read_counts(Path(path), named)
     if named is None:
         _tell_others(Path(path))
