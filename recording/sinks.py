@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from bus.messages import to_message
+from bus.messages import CANDUMP_ERROR, to_message
 from canskin.errors import InputError
 from canskin.messages import Topic
 from dbc.contract import Contract
@@ -31,8 +31,6 @@ WITHOUT_CHANNELS: Final = (".csv", ".db")
 _NOT_HELD: Final = {".csv": FD, ".db": FD, ".trc": FD | ERROR | REMOTE}
 #: The format that python-can's own writer does not write to its end.
 _DATABASE: Final = ".db"
-#: An error frame in a log of candump has this flag in its identifier (CAN_ERR_FLAG of SocketCAN).
-CANDUMP_ERROR: Final = 0x20000000
 #: The format whose channels have names; the others number them.
 _NAMED: Final = ".log"
 #: Time that frames of several buses wait for each other: a log has its frames in the order of time.
