@@ -18,7 +18,7 @@ from dbc.frame import ECHO, Frames
 from gateway.service import GatewayService
 from shell.clock import WallOffset
 from tests.bus.harness import frame
-from tests.gateway.test_service import Clock, Fabric
+from tests.messages import Published
 
 
 class Wired(ArbitratedLink):
@@ -48,7 +48,7 @@ class Served:
     """A service on such links."""
 
     def __init__(self, contract: Contract, *, compiled: bool) -> None:
-        self.fabric, self.wired = Fabric(Clock()), [Wired("test", Hello(name="gateway")) for _ in contract.layout.bus]
+        self.fabric, self.wired = Published(), [Wired("test", Hello(name="gateway")) for _ in contract.layout.bus]
         links: dict[int, Any] = dict(enumerate(self.wired if compiled else map(Hidden, self.wired)))
         self.now_s = 50.0
         self.service = GatewayService(contract, links, self.fabric, clock=lambda: self.now_s)
