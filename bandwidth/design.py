@@ -112,7 +112,8 @@ def _tell(found: Search, layout: Layout, chosen: Candidate) -> None:
     from bandwidth.quality import is_quick, quality  # compiles a solver
 
     if is_quick(layout):
-        judged = quality(layout)
+        with progress("touches, for the images", None):
+            judged = quality(layout)
         say("plan", f"images, {judged.sums} sums: {judged.words}; the paper's bound is {judged.bound_sums:.0f} sums")
     else:
         say("plan", "images: not predicted, which takes longer than the search: 'skin plan FILE --quality'")
@@ -122,6 +123,9 @@ def _tell(found: Search, layout: Layout, chosen: Candidate) -> None:
     say("plan", str(wiring(layout)))
     if scan := scan_words(layout):
         say("plan", scan)
+    sums, taxels = layout.measurement.sums, layout.taxels.there
+    none = ": nothing is compressed" * (sums >= taxels)
+    say("plan", f"{sums / taxels:.3g} sums per taxel, {sums} of {taxels}{none}")
     unfit = sum(not each.fits for each in found.candidates)
     say("plan", f"{chosen.words}: {chosen.load_words}; {unfit} others do not fit")
     if chosen.sending == "steps" and (lacking := found.nearest_in_cycles()):

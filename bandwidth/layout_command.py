@@ -159,12 +159,24 @@ def _about(skin: Layout, path: Path | None) -> dict[str, Any]:
         "rows": skin.taxels.rows,
         "columns": skin.taxels.columns,
         "taxels": skin.taxels.there,
+        **_about_others(skin),
         **(_about_matrix(phi) if isinstance(phi, MatrixPhi) else _about_boards(skin, phi)),
         "sums": phi.shape[0],
         "sums_per_taxel": round(phi.shape[0] / skin.taxels.there, 3),
         **({"chosen": words} if (words := chosen(skin, layout_tables(path)[0])) else {}),
         "fingerprint": phi.fingerprint,
     }
+
+
+def _about_others(skin: Layout) -> dict[str, Any]:
+    """Count the messages of other devices, and those that no plan has."""
+    others = [each for bus in skin.bus for each in bus.foreign]
+    split = (
+        f", {count} of more than 8 bytes (J1939), no part of a plan"
+        if (count := sum(each.is_split for each in others))
+        else ""
+    )
+    return {"foreign_messages": f"{len(others)}{split}"} if others else {}
 
 
 def _about_boards(skin: Layout, phi: Sbhe) -> dict[str, Any]:

@@ -3,19 +3,17 @@
 import re
 import select
 import time
-import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import ExitStack
-from io import TextIOWrapper
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Final, Protocol, cast
+from typing import Final
 
 import can
 import numpy as np
-from can.io import blf
-from can.io.generic import MessageReader, TextIOMessageReader
-from can.io.player import MESSAGE_READERS
+import numpy.typing as npt
 
+from bandwidth.log_file import LogFile
+from bandwidth.measured import JUMP_NS
 from bus.link import DISCARDED, Link
 from bus.messages import to_logged_frames
 from canskin.errors import InputError
@@ -24,109 +22,25 @@ from dbc.frame import Frames, frames
 from dbc.stored_frames import from_bytes
 from recording import is_recording
 from skin.layout import Layout
-from skin.limits import TEXT_BYTES_MAX
 
 #: Largest time stamp, seconds since the epoch: in 2261, a year before nanoseconds end that 64 bits hold.
 _LATEST_S: Final = 9.2e9
-#: An error frame of SocketCAN in a log of candump: the identifier contains CAN_ERR_FLAG.
-_ERROR_FRAME: Final = re.compile(r"(\s*\(\S+\)\s+\S+\s+)([23][0-9A-Fa-f]{7})(#.*)", re.DOTALL)
-_ERROR_FLAG: Final = 0x20000000
-#: A line of candump -l: time, channel, identifier, data.
-_LOGGED: Final = re.compile(r"\s*\(\d+(\.\d+)?\)\s+\S+\s+[0-9A-Fa-f]{3,8}#")
-#: A line that candump prints on a terminal: length in brackets, then data.
-_PRINTED: Final = re.compile(r"\s*(\(\S+( \S+)?\)\s+)?\S+\s+([TR]X\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
-#: Longest line of a log.
-_LINE_MAX: Final = 2**14
+#: Frames of one channel are out of order by less, as adapters deliver them: their times stand still.
+_DISORDER_NS: Final = 10_000_000
+#: Frames of several channels are out of order by less.
+_CHANNELS_NS: Final = 100_000_000
 #: A log has at most a frame for two of its bytes, or this many: more only of a file that unpacks to thousands of times
 #: its size.
 _FRAMES_MAX: Final = 2**16
-#: An object of BLF without a length, at which python-can would stay for ever.
-_ENDLESS: Final = re.compile(rb"LOBJ....[\x00-\x0f]\0\0\0", re.DOTALL)
 #: Period of the check whether to end a live measurement.
 _TURN_S: Final = 0.2
-
-
-class _TextFile(Protocol):
-    def readline(self, size: int) -> str: ...
-    def close(self) -> None: ...
-
-
-class _Lines:
-    """The lines of a log as python-can's readers take them, with the number of the last line.
-
-    A last line without line end is left out: a cut line may look like a shorter frame.
-
-    Attributes
-    ----------
-    number : int
-        Number of the line that was returned last, from 1.
-    is_cut : bool
-        Whether the file ends inside the next line.
-    is_error : bool
-        Whether the line is an error frame of SocketCAN; python-can reads such a line as a frame of the bus.
-    """
-
-    def __init__(self, file: _TextFile) -> None:
-        self._file = file
-        self.text = ""
-        self.number = 0
-        self.is_cut = self.is_error = False
-
-    def __iter__(self) -> Iterator[str]:
-        return self
-
-    def __next__(self) -> str:
-        try:
-            line = self._file.readline(_LINE_MAX)
-        except EOFError:  # a compressed file that was cut
-            line = "cut"
-        if len(line) == _LINE_MAX:
-            self.number += 1
-            raise ValueError(f"more than {_LINE_MAX} characters")
-        if not line.endswith("\n"):
-            self.is_cut = not re.match(r"\s*(//|End\b|$)", line, re.IGNORECASE)
-            raise StopIteration
-        self.number += 1
-        self.text = line
-        error = _ERROR_FRAME.match(line)
-        self.is_error = error is not None
-        return line if error is None else f"{error[1]}{int(error[2], 16) & ~_ERROR_FLAG:08X}{error[3]}"
-
-    def close(self) -> None:
-        self._file.close()
-
-
-class _Blf(can.BLFReader):
-    """Reads as python-can does, and holds no more than `TEXT_BYTES_MAX` of unpacked bytes at once."""
-
-    def __iter__(self) -> Generator[can.Message]:
-        while head := self.file.read(blf.OBJ_HEADER_BASE_STRUCT.size):
-            signature, _, _, size, kind = blf.OBJ_HEADER_BASE_STRUCT.unpack(head)
-            if signature != b"LOBJ" or not len(head) <= size <= TEXT_BYTES_MAX:
-                raise ValueError(f"a container of {size} bytes")
-            content = self.file.read(size - len(head))
-            self.file.read(size % 4)
-            if kind == blf.LOG_CONTAINER:
-                yield from self._parse_container(self._unpacked(content))
-        self.stop()
-
-    def _unpacked(self, content: bytes) -> bytes:
-        method, _ = blf.LOG_CONTAINER_STRUCT.unpack_from(content)
-        data, most = content[blf.LOG_CONTAINER_STRUCT.size :], TEXT_BYTES_MAX - len(self._tail)
-        if method == blf.ZLIB_DEFLATE:
-            data = zlib.decompressobj().decompress(data, most)
-        if len(data) >= most:
-            raise ValueError(f"expected at most {TEXT_BYTES_MAX} bytes unpacked, got more")
-        if _ENDLESS.search(self._tail + data):
-            raise ValueError("an object of no length")
-        return data
 
 
 def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """Return the frames of a log by channel, in its order, with times in nanoseconds.
 
-    A log that ends inside a line, as after a power failure, is read up to that line.
-    InputError names the line of any other error.
+    A log that ends inside a line or a container, as after a power failure, is read up to there. Of a log whose times
+    fall, the longest part is read in which they do not. InputError names the place of any other error.
 
     Parameters
     ----------
@@ -134,37 +48,92 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
         ``.mcap`` of ``skin record``, ``.log`` (candump -l), ``.asc``, ``.blf``, ``.trc``, ``.csv``, ``.db`` or, with
         asammdf installed, ``.mf4``. A log of candump may have any other suffix.
     warn : callable
-        Receives one line of text if the log is cut.
+        Receives a line of text for each cause why the log is not whole, and where its times jump.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such log")
     if is_recording(path):
         return _read_recording(path, warn)
-    of_channel: dict[str, list[can.Message]] = {}
-    lines: _Lines | None = None
+    found: list[can.Message] = []
+    places: list[int] = []
+    log: LogFile | None = None
     try:
-        with _reader(path) as reader:
-            if isinstance(reader, TextIOMessageReader):
-                cast("TextIOWrapper", reader.file).reconfigure(encoding="utf-8", errors="replace")
-                lines = reader.file = _Lines(reader.file)  # type: ignore[assignment]
-            for message in _limited(reader, max(_FRAMES_MAX, path.stat().st_size // 2)):
-                if lines is not None and lines.is_error:
-                    message.is_error_frame, message.is_extended_id = True, False
+        with LogFile(path) as log:
+            for message in _limited(log, max(_FRAMES_MAX, path.stat().st_size // 2)):
                 _check(message)
-                of_channel.setdefault(str(message.channel), []).append(message)
+                found.append(message)
+                places.append(log.number)
     except Exception as error:  # the readers raise anything on a damaged file
-        if lines is not None and _PRINTED.match(lines.text):
-            raise InputError(
-                f"{path}, line {lines.number}: expected a log, got what candump shows: record it with 'candump -l'"
-            ) from error
-        where = f"{path}, line {lines.number}" if lines is not None and lines.number else f"{path}"
+        where = f"{path}, {log.place}" if log is not None and log.number else f"{path}"
+        if log is not None and log.is_printed:
+            raise InputError(f"{where}: expected a log, got what candump shows: record it with 'candump -l'") from error
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{where}: cannot be read as a log of CAN frames: {reason}") from error
-    if lines is not None and lines.is_cut:
-        warn(f"{path}: line {lines.number + 1} is cut off: read up to line {lines.number}")
-    if not of_channel:
+    for line in log.missing():
+        warn(f"{path}: {line}")
+    if not found:
         raise InputError(f"{path}: holds no CAN frame")
-    return {channel: to_logged_frames(messages) for channel, messages in of_channel.items()}
+    names, channels = np.unique([str(message.channel) for message in found], return_inverse=True)
+    logged = to_logged_frames(found)
+    told = partial(_told, warn, path)
+    return _forward(logged, channels, names.tolist(), lambda each: f"{log.unit} {places[each]}", told)
+
+
+def _told(warn: Callable[[str], None], path: Path, line: str) -> None:
+    warn(f"{path}, {line}")
+
+
+def _forward(
+    logged: Frames,
+    channels: npt.NDArray[np.intp],
+    names: list[str],
+    at: Callable[[int], str],
+    tell: Callable[[str], None],
+) -> dict[str, Frames]:
+    """Return the frames by channel, of the longest part of a log in which the times of no channel fall.
+
+    Parameters
+    ----------
+    channels : array (n,)
+        For each frame the place of its channel in `names`.
+    at : callable
+        Returns the place of a frame, by its number from 0.
+    tell : callable
+        Receives a line of text if times fall, jump, or are those of several clocks.
+    """
+    times_ns = logged["time_ns"]
+    own_steps_ns = np.zeros(len(times_ns), np.int64)
+    for channel in range(len(names)):
+        mine = np.flatnonzero(channels == channel)
+        own_steps_ns[mine[1:]] = np.diff(times_ns[mine])
+    falls = np.flatnonzero(own_steps_ns < -_DISORDER_NS)
+    edges = np.concatenate(([0], falls, [len(times_ns)]))
+    longest = int(np.argmax(np.diff(edges)))
+    first, end = int(edges[longest]), int(edges[longest + 1])
+    if len(falls):
+        what = f"the time of channel {names[channels[falls[0]]]} falls by {-own_steps_ns[falls[0]] * 1e-9:.6g} s"
+        used = f"{end - first} of {len(times_ns)} frames, where it does not, are read from {at(first)} on"
+        tell(f"{at(int(falls[0]))}: {what}{_more(falls)}: {used}")
+    logged, times_ns, channels = logged[first:end], times_ns[first:end], channels[first:end]
+    newest_ns = np.maximum.accumulate(times_ns)
+    steps_ns = np.diff(newest_ns)
+    jumps = np.flatnonzero((steps_ns > JUMP_NS) & (own_steps_ns[first + 1 : end] > JUMP_NS))
+    if len(jumps):
+        place = at(first + int(jumps[0]) + 1)
+        tell(f"{place}: the time jumps by {steps_ns[jumps[0]] * 1e-9:.6g} s{_more(jumps)}")
+    behind_ns = newest_ns - times_ns
+    worst = int(np.argmax(behind_ns))
+    if behind_ns[worst] > _CHANNELS_NS:
+        late = f"channel {names[channels[worst]]} is {behind_ns[worst] * 1e-9:.6g} s behind the others"
+        tell(f"{at(first + worst)}: {late}: have the channels two clocks?")
+    found = {name: logged[channels == each] for each, name in enumerate(names) if each in channels}
+    for seen in found.values():
+        seen["time_ns"] = np.maximum.accumulate(seen["time_ns"])
+    return found
+
+
+def _more(places: npt.NDArray[np.intp]) -> str:
+    return f", and {len(places) - 1} times more" if len(places) > 1 else ""
 
 
 def _limited(messages: Iterable[can.Message], most: int) -> Iterator[can.Message]:
@@ -174,24 +143,6 @@ def _limited(messages: Iterable[can.Message], most: int) -> Iterator[can.Message
         yield message
 
 
-def _reader(path: Path) -> MessageReader:
-    """Return the reader of a log: by its suffix, or where no format has this suffix, that of candump by the content."""
-    if path.suffix.lower() not in {*MESSAGE_READERS, ".gz"}:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            first = next((line for line in iter(lambda: file.readline(_LINE_MAX), "") if line.strip()), "")
-        if _LOGGED.match(first) or _PRINTED.match(first):
-            return can.CanutilsLogReader(path)
-    if path.suffix.lower() == ".blf":
-        with ExitStack() as opened:
-            blf_reader = _Blf(opened.enter_context(path.open("rb")))
-            opened.pop_all()  # the reader closes what it can read
-        return blf_reader
-    reader = can.LogReader(path)
-    if path.suffix.lower() == ".gz" and not isinstance(reader, TextIOMessageReader):
-        raise ValueError("expected lines in a .gz")
-    return reader
-
-
 def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """Return the frames of a recording by the name of their bus."""
     from recording.mcap_file import FRAMES, read_entries, wall_offset_ns
@@ -199,13 +150,21 @@ def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames
     parts: dict[str, list[Frames]] = {}
     offset_ns = wall_offset_ns(path)
     for entry in read_entries(path, warn):
-        if entry.topic.startswith(FRAMES):
+        if entry.topic.startswith(FRAMES) and entry.data:
             part = from_bytes(entry.data, int(entry.about["data_bytes"]))
             part["time_ns"] += offset_ns
             parts.setdefault(entry.topic.removeprefix(FRAMES), []).append(part)
     if not parts:
         raise InputError(f"{path}: holds no CAN frame")
-    return {name: np.concatenate(each) for name, each in parts.items()}
+    found: dict[str, Frames] = {}
+    for name, each in parts.items():
+        logged, told = np.concatenate(each), partial(_told, warn, path)
+        found |= _forward(logged, np.zeros(len(logged), np.intp), [name], partial(_frame_of, name), told)
+    return found
+
+
+def _frame_of(name: str, place: int) -> str:
+    return f"frame {place + 1} of {name}"
 
 
 def _check(message: can.Message) -> None:
@@ -217,7 +176,12 @@ def _check(message: can.Message) -> None:
         raise ValueError(f"an identifier of {message.arbitration_id:X}h")
     if message.dlc < 0 or len(message.data) > longest:
         raise ValueError(f"a frame of {max(message.dlc, len(message.data))} bytes")
+    if message.is_fd:  # its readers give the DLC of some formats, and take frames without data for remote frames
+        message.is_remote_frame, message.dlc = False, len(message.data)
     message.dlc = min(message.dlc, longest)
+    if len(message.data) != message.dlc and not (message.is_remote_frame or message.is_error_frame):
+        raise ValueError(f"a frame of {message.dlc} bytes, of which the log holds {len(message.data)}")
+    message.is_extended_id &= not message.is_error_frame  # of some formats alone
 
 
 def listen(links: dict[int, Link], seconds: float, stopped: Callable[[], bool]) -> dict[int, Frames]:

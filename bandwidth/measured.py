@@ -30,6 +30,10 @@ FOREIGN: Final = "foreign"
 OTHER_DEVICE: Final = "other device"
 #: Kind of the identifiers of sums.
 TPDO: Final = "TPDO"
+#: A skin is never silent for so long: the clock was set, or the logging paused.
+JUMP_NS: Final = 2_000_000_000
+#: Most times of the median between two frames that a bus of other devices is silent.
+_SILENCE: Final = 100
 #: With a larger part of unknown frames, a bus does not fit the layout.
 MISFIT_RATIO: Final = 0.2
 
@@ -88,11 +92,16 @@ class BusLoad:
 def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     """Return the frames from the first SYNC until before the last, and the seconds between these SYNCs.
 
+    Of frames with a silence, as where a clock was set, those of the longest part without one.
+
     Raise InputError unless there are two frames or more, and time passes between them.
     """
     real = seen[seen["flags"] & ERROR == 0]
     if len(real) < 2:
         raise InputError(f"expected two frames or more to measure a load, got {len(real)}")
+    steps_ns = np.diff(real["time_ns"])
+    edges = np.flatnonzero(steps_ns > max(JUMP_NS, _SILENCE * np.median(steps_ns))) + 1
+    real = max(np.split(real, edges), key=len)
     syncs = np.flatnonzero(is_sync(real))
     first, last = (int(syncs[0]), int(syncs[-1])) if len(syncs) > 1 else (0, len(real) - 1)
     seconds = (int(real["time_ns"][last]) - int(real["time_ns"][first])) * 1e-9
@@ -272,7 +281,13 @@ def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[s
         lines.append(f"{wrong} of {tpdos} TPDOs have another length or format than the layout plans; {hint}")
     if load.load_exact > 1:
         rate = contract.layout.bus[bus].bitrate
-        lines.append(f"{load.load_exact:.1%} is more than a bus carries: its bit rate is not the layout's {rate}")
+        what = f"its bit rate is not the layout's {rate}, or its times are wrong"
+        lines.append(f"{load.load_exact:.1%} is more than a bus carries: {what}")
+    span_s = float(np.ptp(seen["time_ns"])) * 1e-9
+    if span_s - load.seconds > JUMP_NS * 1e-9:
+        lines.append(
+            f"the loads are those of {load.seconds:.1f} s of {span_s:.1f} s: the longest part without a silence"
+        )
     return [f"{load.name}: {line}" for line in lines]
 
 

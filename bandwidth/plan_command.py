@@ -16,7 +16,7 @@ from bus.options import BusOptions, Channels, channels
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
-from shell.terminal import Json, print_json, print_table
+from shell.terminal import Json, print_json, print_table, progress
 from skin.choice import chosen, scan_words
 from skin.layout import Layout, layout_tables, load_layout
 
@@ -123,7 +123,8 @@ def _of_cycles(layout: Layout) -> dict[str, object]:
 def _judged(layout: Layout) -> "list[Quality]":
     from bandwidth.quality import qualities  # compiles a solver, which no other plan needs
 
-    return qualities(layout)
+    with progress("touches, for the images", None):
+        return qualities(layout)
 
 
 def _print_quality(found: "Sequence[Quality]") -> None:

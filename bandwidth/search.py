@@ -200,6 +200,10 @@ class Search:
         nearest, layout = min(judged, key=lambda each: each[0].load_worst or 0.0)
         rate_hz = highest_rate_hz(layout, self.required.budget, self.allowed)
         would = f"it fits at up to {rate_hz:g} Hz" if rate_hz else "it fits at no rate"
+        most_s = self.allowed.of(layout).jitter_s or 0.0
+        sooner_s = math.floor(1e4 * most_s - 10 * (nearest.missing_window_ms or 0.0)) / 1e4
+        if 0 < sooner_s < most_s and _judge(layout, self.required, replace(self.allowed, jitter_s=sooner_s)).fits:
+            would += f", and here with boards that answer within {1e3 * sooner_s:g} ms (--jitter-s {sooner_s:g})"
         return f"the nearest, {nearest.words}, lacks: {nearest.problem}; {would}"
 
 

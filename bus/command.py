@@ -11,6 +11,7 @@ from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.terminal import Json, print_json
 from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX, load_layout
+from skin.ranges import listed
 
 #: Far above any real device, and far below the limit of times in 64 bits.
 RESTART_MAX_S: Final = 3600.0
@@ -76,7 +77,7 @@ def bus(
     if queue_size < 1 or not 0 <= restart_s <= RESTART_MAX_S:
         wanted = f"a queue of 1 or more frames and a restart after 0 to {RESTART_MAX_S:g} s"
         raise InputError(f"expected {wanted}, got {queue_size} and {restart_s}")
-    names = channels or [each.name for each in contract.bus]
+    names = listed(channels or ()) or [each.name for each in contract.bus]
     settings = BusSettings(
         bitrate=bitrate,
         data_bitrate=data_bitrate or None,

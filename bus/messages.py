@@ -10,6 +10,8 @@ from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frame
 if TYPE_CHECKING:
     import can
 
+#: An error frame in a log of candump has this flag in its identifier (CAN_ERR_FLAG of SocketCAN).
+CANDUMP_ERROR: Final = 0x20000000
 _FLAG_OF: Final = (
     ("is_extended_id", EXTENDED),
     ("is_remote_frame", REMOTE),

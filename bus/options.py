@@ -12,6 +12,7 @@ from bus.link import ARBITRATED, SOCKETCAN, Link, check_channels, open_link
 from canskin.errors import InputError
 from shell.service import StopSignal
 from skin.layout import Layout
+from skin.ranges import listed
 
 if TYPE_CHECKING:
     from bus.server import BusServer
@@ -45,6 +46,9 @@ class BusOptions:
     interface: Annotated[str, Parameter(alias="-i")] = ARBITRATED
     channel: Channels = field(default_factory=list)
     bus_option: Annotated[list[str], Parameter(negative=(), show_default=False)] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "channel", listed(self.channel))
 
 
 def channels(layout: Layout, options: BusOptions) -> list[str]:

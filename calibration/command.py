@@ -32,6 +32,7 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout, require_boards
+from skin.limits import read_file
 from skin.regions import taxels_of
 
 #: Longest wait for the answer to ``write``: writing to nodes takes up to a minute.
@@ -138,6 +139,8 @@ def calibration(
     if action != "gain" and (force_n, before, out) != (None, None, None):
         raise InputError("--force-n, --before and --out are for 'skin calibration gain'")
     _check_written(action, path, out)
+    if action == "load" and path is not None:
+        read_file(path, InputError, "the calibration")  # before any wait for a hub
     reads = path if action in {"show", "gain"} else None
     skin = of.find(recording=reads, needs_hub=reads is None)
     require_boards(skin)

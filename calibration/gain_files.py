@@ -1,6 +1,5 @@
 """Gains from files: a recording of a rolled weight, or a table."""
 
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ from shell.service import say
 from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, new_calibration
 from skin.frontend import LEAST_FELT
 from skin.layout import Layout, require_sending
-from skin.limits import read_file
 from skin.measured_sums import decode_measurement
+from skin.text_tables import read_numbers
 
 
 def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path | None = None) -> StoredCalibration:
@@ -39,11 +38,7 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
     if path.suffix.lower() == ".csv":
         if force_n is not None or before is not None:
             raise InputError("--force-n and --before are for a recording: a .csv holds the gains themselves")
-        text = read_file(path, InputError, "a table of gains").decode("utf-8", errors="replace")
-        try:
-            table = np.loadtxt(StringIO(text), np.float64, delimiter=",", ndmin=2)
-        except ValueError as error:
-            raise InputError(f"{path}: cannot read a table of gains: {error}") from error
+        table = read_numbers(path, InputError, "a table of gains")
         if table.shape != (taxels.rows, taxels.columns) or not ((table >= LEAST_GAIN) & (table <= MOST_GAIN)).all():
             raise InputError(
                 f"{path}: expected {taxels.rows} lines of {taxels.columns} gains from {LEAST_GAIN:g} to {MOST_GAIN:g}"

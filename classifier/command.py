@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from canskin.errors import InputError
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
-from classifier.modelfile import load_model, save_model
+from classifier.modelfile import load_model, read_model, save_model
 from classifier.used_sums import classified_phi
 from shell.output import check_output_path, write_file
 from shell.pulse import Pulse
@@ -61,6 +61,8 @@ def classify(
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
         raise InputError("--model contains what it was trained on: leave --stroke out")
+    if model is not None:
+        read_model(model)  # before any wait for a hub
     skin = of.find("classifier", stop)
     classified = classified_phi(skin)
     if model is not None:
@@ -150,15 +152,13 @@ def train(
     if touches < 0 or seed < 0:
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
     if out is not None:
-        check_output_path(out, "model")
+        check_output_path(out, "model", ".npz")
     if (choose != 0) != (layout_out is not None):
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
-        check_output_path(layout_out, "layout")
+        check_output_path(layout_out, "layout", ".toml")
         if layout is not None and layout_out.exists() and layout_out.samefile(layout):
             raise InputError(f"{layout_out}: is the layout that rows are chosen for; give --layout-out another name")
-        if out is not None and out.resolve() == layout_out.resolve():
-            raise InputError(f"{out}: is named for the model and for the layout: give --layout-out another name")
     count = touches or TOUCHES_PER_OBJECT * len(names)
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)
@@ -186,7 +186,7 @@ def _train_recorded(
 
     if out is None:
         raise InputError("--recordings: expected --out FILE for the model, for 'skin classify --model FILE'")
-    check_output_path(out, "model")
+    check_output_path(out, "model", ".npz")
     with progress("reading recordings", 1.0) as bar:
         data = labelled_touches(recordings, layout, noise_n=noise_n, seed=seed)
         model = train_recorded(

@@ -122,9 +122,7 @@ def export_model(path: str | Path, estimator: Any, data: LabelledTouches, *, see
         Of the parts of the cross-validation.
     """
     target = Path(path)
-    if target.suffix != ".npz":
-        raise InputError(f"{target}: expected a model file that ends in .npz")
-    check_output_path(target, "model")
+    check_output_path(target, "model", ".npz")
     planes = _planes_of(estimator)
     width = planes.weights.shape[1]
     widths: dict[int, Features] = {data.sums.shape[1]: "sums", data.energies.shape[1]: "energies"}

@@ -61,6 +61,16 @@ def load_model(path: Path, layout: Layout, phi: Phi) -> Model:
     ModelError
         If the file is missing, unreadable, damaged, of another version, or was trained for another skin.
     """
+    about, arrays, is_whole = read_model(path)
+    _check_skin(path, about, layout, phi)
+    _check_arrays(path, about, arrays, len(widths_for(layout.taxels.surface)))
+    if not is_whole:
+        raise ModelError(f"{path}: damaged model: its digest does not fit its content; train it again")
+    return Model(about, layout.taxels.surface, **arrays)
+
+
+def read_model(path: Path) -> tuple[Metadata, Arrays, bool]:
+    """Read a model of any skin, and tell whether its digest fits; raise ModelError as `load_model`."""
     entries = _entries(path)
     metadata = entries["metadata"].tobytes()
     arrays = {name: entries[name] for name in ARRAYS}
@@ -71,11 +81,7 @@ def load_model(path: Path, layout: Layout, phi: Phi) -> Model:
         about = msgspec.json.decode(metadata, type=Metadata)
     except UNDECODABLE as error:
         raise ModelError(f"{path}: damaged model: {error}") from error
-    _check_skin(path, about, layout, phi)
-    _check_arrays(path, about, arrays, len(widths_for(layout.taxels.surface)))
-    if entries["digest"].tobytes() != _digest(metadata, arrays):
-        raise ModelError(f"{path}: damaged model: its digest does not fit its content; train it again")
-    return Model(about, layout.taxels.surface, **arrays)
+    return about, arrays, entries["digest"].tobytes() == _digest(metadata, arrays)
 
 
 def _entries(path: Path) -> Arrays:

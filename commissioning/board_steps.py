@@ -252,7 +252,7 @@ def read_identity() -> Dialogue:
     address = []
     for subindex in range(1, 5):
         try:
-            address.append(int.from_bytes((yield Read(od.IDENTITY, subindex)), "little"))
+            address.append(int.from_bytes((yield Read(od.IDENTITY, subindex, od.UNSIGNED32)), "little"))
         except SdoAbortedError:
             address.append(0)
     return tuple(address)

@@ -178,7 +178,7 @@ class BusLook:
             return None
         if proof.can_write and self._contract.layout.configure == "write":
             return NodeFault(Fault.STARTING, f"the gateway writes at its start: {proof.refusal}")
-        return NodeFault(Fault.OTHER_DEVICE if proof.is_other_device else Fault.REFUSED, proof.refusal)
+        return NodeFault(Fault.OTHER_DEVICE if proof.is_other_device else Fault.REFUSED, proof.told(self._contract))
 
     def _prove(self, node_id: int) -> Dialogue:
         settings = self._settings[node_id]

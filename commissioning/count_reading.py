@@ -166,7 +166,7 @@ class CountReading:
         for place in range(node.blocks):
             block = node.block + place
             for at in np.flatnonzero(self._is_wired[block]).tolist():
-                value = yield Read(od.of_block(od.COUNTS, place), at + 1)
+                value = yield Read(od.of_block(od.COUNTS, place), at + 1, od.UNSIGNED16)
                 self._counts[-1][block, at] = int.from_bytes(value, "little")
                 self._answered_s[-1][block, at] = self._now_s
         return None

@@ -110,7 +110,7 @@ class NodeCheck(CheckSteps):
         own = [each for each in dictionary(self._contract, self._node) if _is_of_board(each)]
         settings = [*configuration(self._contract, self._node), *map(setting_of, own)]
         for setting in settings:
-            data = yield Read(setting.index, setting.subindex)
+            data = yield Read(setting.index, setting.subindex, setting.data_type)
             if isinstance(data, SdoAbortedError):
                 self._differs(str(data))
                 continue
@@ -118,8 +118,8 @@ class NodeCheck(CheckSteps):
                 self._differs(f"{data}: is the board on this bus, at this bit rate, with node-ID {self._node.node_id}?")
                 return False
             self.report.objects += 1
-            self._values[setting.index, setting.subindex] = setting.sized(data)
-            if not setting.matches(data) and (setting.index, setting.subindex) not in _ONLY_READ:
+            self._values[setting.index, setting.subindex] = data
+            if data != setting.data and (setting.index, setting.subindex) not in _ONLY_READ:
                 text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
                 is_allowed = (od.split_block(setting.index)[1], setting.subindex) in _ALLOWED
                 (self.report.notes if is_allowed else self.report.differences).append(text)
@@ -134,12 +134,12 @@ class NodeCheck(CheckSteps):
         found: dict[tuple[int, int], bytes] = {}
         settings = calibration(self._contract, self._node)
         for setting in settings:
-            data = yield Read(setting.index, setting.subindex)
+            data = yield Read(setting.index, setting.subindex, setting.data_type)
             if not isinstance(data, bytes):
                 note = f"{data}: not every row is compared without gains and offsets"
                 (self.report.notes if isinstance(data, SdoAbortedError) else self.report.differences).append(note)
                 return
-            found[setting.index, setting.subindex] = setting.sized(data)
+            found[setting.index, setting.subindex] = data
         self.report.objects += len(found)
         self._values |= found
         if settings:
@@ -151,7 +151,7 @@ class NodeCheck(CheckSteps):
 
     def _signature(self, index: int, settings: Iterable[Setting], when: str = "") -> Steps:
         """Compare 2006h or 2009h with what it is for the values that the node has."""
-        data = yield Read(index)
+        data = yield Read(index, 0, od.UNSIGNED32)
         value = int.from_bytes(data, "little") if isinstance(data, bytes) else NO_SIGNATURE
         covered = [(each.index, each.subindex) for each in settings]
         if value == NO_SIGNATURE:
@@ -211,10 +211,10 @@ class NodeCheck(CheckSteps):
 
     def _errors(self) -> Generator[Step, Answer, str]:
         """Return the error register and the newest error of the board in words, empty if there is none."""
-        register = yield Read(od.ERROR_REGISTER)
+        register = yield Read(od.ERROR_REGISTER, 0, od.UNSIGNED8)
         if not isinstance(register, bytes) or not any(register):
             return ""
-        newest = yield Read(od.ERROR_FIELD, 1)
+        newest = yield Read(od.ERROR_FIELD, 1, od.UNSIGNED32)
         words = f", its newest error (1003h:1) {newest[1::-1].hex().upper()}h" if isinstance(newest, bytes) else ""
         return f"; its error register (1001h) is {register.hex().upper()}h{words}"
 

@@ -21,8 +21,9 @@ from dbc.canopen import SDO_RESPONSE_BASE
 from dbc.contract import LONGEST_VALUE, Contract, NodeContract
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, one_frame, received
+from dbc.values import decode
 from gateway.sdo import Download, Read, SdoDialogue, Transfer, Write, one
-from skin.limits import TEXT_BYTES_MAX, read_file
+from skin.limits import TEXT_BYTES_MAX, read_text
 
 #: Names of CANopen's data types (CiA 301, table 44).
 _TYPES: Final = {value: name for name, value in vars(datatypes).items() if name.isupper() and isinstance(value, int)}
@@ -68,11 +69,7 @@ class Entry:
 
     def decode(self, data: bytes) -> int | float | str | bool:
         """Return a value, of a type that is not known its bytes in hexadecimal."""
-        try:
-            value = self.variable.decode_raw(data)
-        except (struct.error, canopen.ObjectDictionaryError, UnicodeDecodeError):
-            return data.hex(" ")
-        return value.hex(" ") if isinstance(value, bytes) else value
+        return decode(self.variable.data_type, data)
 
     def encode(self, text: str) -> bytes:
         """Return the bytes of a value; InputError if the text is no value of the type."""
@@ -105,7 +102,7 @@ def entries_of_node(contract: Contract, node: NodeContract) -> list[Entry]:
 
 def entries_of_file(path: Path, node_id: int) -> list[Entry]:
     """Return the objects of an EDS or DCF file."""
-    text = read_file(path, InputError, "the objects", TEXT_BYTES_MAX).decode("utf-8", errors="replace")
+    text = read_text(path, InputError, "the objects", TEXT_BYTES_MAX)
     return _entries(text, node_id, str(path))
 
 
@@ -209,7 +206,7 @@ class NodeTransfers:
     def _begin(self, now_s: float) -> None:
         entry, data = self._left[0]
         if not data:
-            transfer: Transfer = Read(entry.index, entry.subindex)
+            transfer: Transfer = Read(entry.index, entry.subindex, entry.variable.data_type)
         elif len(data) <= _EXPEDITED:
             transfer = Write(entry.index, entry.subindex, data)
         else:

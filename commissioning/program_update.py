@@ -212,14 +212,14 @@ class ProgramUpdate:
     def _load(self) -> _Steps:
         """Load the program into one board; return what was done."""
         outcome, node_id = self.outcomes[self._node_id], self._node_id
-        outcome.after = yield from _number(Read(od.PROGRAM_ID, 1))
+        outcome.after = yield from _number(Read(od.PROGRAM_ID, 1, od.UNSIGNED32))
         if outcome.before is None:
             outcome.before = outcome.after
         if outcome.after == self._wanted:
             return "started" if outcome.before != self._wanted else "has run the program before"
         device = (1, self._program.vendor_id, "vendor-ID"), (2, self._program.product_code, "product code")
         for subindex, number, name in device:
-            found = yield from _number(Read(od.IDENTITY, subindex))
+            found = yield from _number(Read(od.IDENTITY, subindex, od.UNSIGNED32))
             if found != number:
                 raise _FailedError(f"the program is for boards with the {name} {number:X}h, this one has {found:X}h")
         self._say(node_id, f"{len(self._image)} bytes, attempt {self._tried}")
@@ -227,7 +227,7 @@ class ProgramUpdate:
         self._send_one(NMT_COB_ID, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, node_id)))
         yield from _control(ProgramControl.STOP)
         for _ in _until_ready():  # its bootloader may start now
-            if (yield from _number(Read(od.PROGRAM_CONTROL, 1))) != ProgramControl.START:
+            if (yield from _number(Read(od.PROGRAM_CONTROL, 1, od.UNSIGNED8))) != ProgramControl.START:
                 break
             yield _Wait(PAUSE_S)
         yield from _control(ProgramControl.CLEAR)
@@ -238,7 +238,7 @@ class ProgramUpdate:
         yield from _control(ProgramControl.START)
         if not self._has_booted:
             yield _Wait(BOOT_S)
-        outcome.after = yield from _number(Read(od.PROGRAM_ID, 1))
+        outcome.after = yield from _number(Read(od.PROGRAM_ID, 1, od.UNSIGNED32))
         if outcome.after != self._wanted:
             raise SdoError("the board has started another program than the new one")
         return "started"
@@ -271,7 +271,7 @@ def _control(command: ProgramControl) -> Generator[_Step, _Answer, None]:
 def _ready() -> Generator[_Step, _Answer, int]:
     """Wait until the memory is not busy; return the error of 1F57h."""
     for _ in _until_ready():
-        status = yield from _number(Read(od.FLASH_STATUS, 1))
+        status = yield from _number(Read(od.FLASH_STATUS, 1, od.UNSIGNED32))
         if not status & 1:
             return status >> 1 & 0x7F
         yield _Wait(PAUSE_S)

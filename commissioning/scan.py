@@ -30,20 +30,22 @@ from dbc.canopen import (
 )
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.frame_bits import wire_bits
+from dbc.values import decode
 from gateway.questions import Questions
 from gateway.sdo import Dialogue, Read, SdoError
 from gateway.strangers import produces_sync
 
 #: Part of the bus that requests and responses take.
 ASKED_LOAD: Final = 0.05
-#: What is read of each node that answers to 1000h: keys of `ScannedNode`, index, sub-index.
-_IDENTITY: Final = (
-    ("vendor_id", od.IDENTITY, 1),
-    ("product_code", od.IDENTITY, 2),
-    ("revision", od.IDENTITY, 3),
-    ("serial_number", od.IDENTITY, 4),
-    ("sync_cob_id", od.SYNC_COB_ID, 0),
-    ("device_name", od.DEVICE_NAME, 0),
+#: What is read of each node, the rest if it answers to 1000h: key of `ScannedNode`, index, sub-index, data type.
+_ASKED: Final = (
+    ("device_type", od.DEVICE_TYPE, 0, od.UNSIGNED32),
+    ("vendor_id", od.IDENTITY, 1, od.UNSIGNED32),
+    ("product_code", od.IDENTITY, 2, od.UNSIGNED32),
+    ("revision", od.IDENTITY, 3, od.UNSIGNED32),
+    ("serial_number", od.IDENTITY, 4, od.UNSIGNED32),
+    ("sync_cob_id", od.SYNC_COB_ID, 0, od.UNSIGNED32),
+    ("device_name", od.DEVICE_NAME, 0, od.VISIBLE_STRING),
 )
 #: Predefined connection set (CiA 301, 7.3.5).
 _OF_ALL: Final = {NMT_COB_ID: "NMT", SYNC_COB_ID: "SYNC", TIME_COB_ID: "TIME"}
@@ -58,7 +60,8 @@ _OF_NODE: Final = {
 class ScannedNode:
     """One CANopen node; None for what it did not tell. `state` is that of its newest heartbeat.
 
-    `is_busy` tells that other masters used its SDO channel all the time, so that it was not asked.
+    `is_busy` tells that other masters used its SDO channel all the time, so that it was not asked; `refusal` why the
+    last of the objects that it did not tell is missing.
     """
 
     node_id: int
@@ -72,6 +75,7 @@ class ScannedNode:
     serial_number: int | None = None
     sync_cob_id: int | None = None
     is_busy: bool = False
+    refusal: str = ""
 
     @property
     def produces_sync(self) -> bool:
@@ -174,16 +178,16 @@ class Scan:
         self._listen_s, self.done = min(self._listen_s, now_s - self._started_s), True
 
     def _ask(self, node_id: int) -> Dialogue:
-        value = yield Read(od.DEVICE_TYPE)
-        node = self._node(node_id, "SDO")
-        node.device_type = int.from_bytes(value, "little")
-        for key, index, subindex in _IDENTITY:
+        for key, index, subindex, data_type in _ASKED:
             try:
-                value = yield Read(index, subindex)
-            except SdoError:
-                continue
-            is_text = key == "device_name"
-            setattr(node, key, value.decode("latin-1").rstrip("\0") if is_text else int.from_bytes(value, "little"))
+                value = yield Read(index, subindex, data_type)
+            except SdoError as error:
+                if node_id in self.nodes:
+                    self.nodes[node_id].refusal = str(error)
+                if index == od.DEVICE_TYPE:
+                    break
+            else:
+                setattr(self._node(node_id, "SDO"), key, decode(data_type, value))
         return None
 
     def _send_one(self, can_id: int, data: bytes) -> None:

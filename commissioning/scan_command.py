@@ -116,6 +116,12 @@ def _about(name: str, scanned: Scan) -> dict[str, Any]:
     }
 
 
+def _why_unknown(node: dict[str, Any]) -> str:
+    if node["is_busy"]:
+        return "busy: another master asks it"
+    return node["refusal"] if node["device_type"] is None and node["refusal"] else "-"
+
+
 def _show(found: dict[str, Any]) -> None:
     rows = [
         [
@@ -123,7 +129,7 @@ def _show(found: dict[str, Any]) -> None:
             each["state"] or "-",
             *(_hex(each[key]) for key in ("device_type", "vendor_id", "product_code", "revision")),
             "-" if each["serial_number"] is None else each["serial_number"],
-            each["device_name"] or ("busy: another master asks it" if each["is_busy"] else "-"),
+            each["device_name"] or _why_unknown(each),
             ", ".join(each["heard"]),
         ]
         for each in found["nodes"]

@@ -42,7 +42,7 @@ from dbc.canopen import (
     NmtCommand,
 )
 from dbc.contract import Contract, NodeContract, sync_frame
-from dbc.dictionary import REVISION
+from dbc.dictionary import REVISION, sum_type
 from dbc.lss import lss_request
 from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoError, Transfer
 from skin.surface import Floats, Indices
@@ -330,23 +330,20 @@ def _read_touch(contract: Contract, node: NodeContract) -> Dialogue:
     A finger as wide as the board leaves most sums as they were, and changes those of its neighbours.
     """
     try:
-        return (yield from _read_some(od.COUNTS, [contract.phi.block_size] * node.blocks, is_signed=False))
+        return (yield from _read_some(od.COUNTS, [contract.phi.block_size] * node.blocks, od.UNSIGNED16))
     except SdoAbortedError:
         starts = contract.phi.starts[node.block : node.block + node.blocks + 1]
-        raw = yield from _read_some(od.SUMS, np.diff(starts).tolist(), is_signed=node.packing.is_signed)
+        raw = yield from _read_some(od.SUMS, np.diff(starts).tolist(), sum_type(node.packing))
     return node.packing.counts(np.array(raw, np.int32))
 
 
-def _read_some(index: int, counts: Sequence[int], *, is_signed: bool) -> Generator[Transfer, bytes, list[int]]:
+def _read_some(index: int, counts: Sequence[int], data_type: int) -> Generator[Transfer, bytes, list[int]]:
     """Read some of the numbers of the blocks of a node: `counts` tells how many each block has."""
     there = [(place, k + 1) for place, count in enumerate(counts) for k in range(count)]
     if not there:
         raise SdoError("tells neither counts of taxels (2012h) nor sums (2100h)")
     numbers = []
     for place, subindex in there[:: len(there) // READ_OF_BOARD | 1]:
-        read = Read(od.of_block(index, place), subindex)
-        value = yield read
-        if not 1 <= len(value) <= 2:
-            raise SdoError(f"object {read.index:04X}h:{subindex} has {len(value)} bytes, expected 1 or 2")
-        numbers.append(int.from_bytes(value, "little", signed=is_signed))
+        value = yield Read(od.of_block(index, place), subindex, data_type)
+        numbers.append(int.from_bytes(value, "little", signed=data_type in od.SIGNED))
     return numbers

@@ -11,10 +11,10 @@ import numpy as np
 from canskin.errors import InputError
 from commissioning.count_reading import CountReading
 from commissioning.wiring_findings import Finding, Place, findings_of
-from skin.chains import read_lines
 from skin.layout import Layout
 from skin.phi import Sbhe
 from skin.surface import Floats
+from skin.text_tables import read_table
 
 #: Columns of the path of a finger.
 _PATH: Final = ("time_s", "x_m", "y_m", "z_m")
@@ -35,13 +35,10 @@ def check_counts(layout: Layout, reading: CountReading, path: Path | None) -> li
 
 def _path(path: Path, times_s: Floats) -> Floats:
     """Return where the finger is at some times, shape (times, 3)."""
-    names, lines = read_lines(path, "path")
-    if not names >= set(_PATH) or not lines:
+    found = read_table(path, "path", _PATH)
+    if not found.columns.keys() >= set(_PATH) or not found.rows:
         raise InputError(f"{path}: expected the header {','.join(_PATH)} and a line for each moment")
-    try:
-        table = np.array([[float(line[name]) for name in _PATH] for _, line in lines])
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: expected numbers: {error}") from error
+    table = np.array([found.numbers(row, _PATH) for row in found.rows])
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputError(f"{path}: expected finite numbers, and times that ascend")
     return np.stack([np.interp(times_s, table[:, 0], table[:, axis]) for axis in (1, 2, 3)], axis=1)

@@ -5,7 +5,7 @@ from collections.abc import Collection
 
 from canskin.errors import InputError
 from dbc.contract import Contract
-from skin.ranges import ranges_text
+from skin.ranges import listed, ranges_text
 
 
 def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
@@ -24,7 +24,7 @@ def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
     numbers = {bus.name: number for number, bus in enumerate(contract.layout.bus)}
     known = {(node.bus, node.node_id) for node in contract.nodes}
     chosen: set[tuple[int, int]] = set()
-    for text in texts:
+    for text in listed(texts):
         match = re.fullmatch(r"(\w+):(\d+)(?:-(\d+))?", text)
         if match is None or match[1] not in numbers:
             raise InputError(f"expected BUS:NODE or BUS:FIRST-LAST with BUS of {', '.join(numbers)}, got '{text}'")

@@ -58,24 +58,14 @@ class Setting:
     subindex: int
     name: str
     data: bytes
-    is_text: bool
+    data_type: int
     is_writable: bool
-
-    def matches(self, data: bytes) -> bool:
-        """Tell whether `data` is this value; leading zero bytes of numbers do not matter."""
-        if self.is_text:
-            return data == self.data
-        return int.from_bytes(data, "little") == int.from_bytes(self.data, "little")
-
-    def sized(self, data: bytes) -> bytes:
-        """Return `data` with the bytes of the value: an expedited answer without size has four (CiA 301, 7.2.4.3.6)."""
-        size = len(self.data)
-        return data if self.is_text else data[:size].ljust(size, b"\0")
 
     def text(self, data: bytes | None = None) -> str:
         """Return `data`, by default the value itself, as text for the user."""
         value = self.data if data is None else data
-        return value.decode("ascii", "replace") if self.is_text else f"{int.from_bytes(value, 'little'):X}h"
+        is_text = self.data_type == od.VISIBLE_STRING
+        return value.decode("ascii", "replace") if is_text else f"{int.from_bytes(value, 'little'):X}h"
 
     def __str__(self) -> str:
         return f"{self.index:04X}h:{self.subindex} ({self.name})"
@@ -150,8 +140,7 @@ def _is_calibration(each: Object) -> bool:
 
 def setting_of(each: Object) -> Setting:
     """Return an object with its initial value as a setting."""
-    is_text = each.data_type == od.VISIBLE_STRING
-    if is_text:
+    if each.data_type == od.VISIBLE_STRING:
         data = str(each.value).encode("ascii")
     elif each.data_type == od.DOMAIN:
         data = b""
@@ -160,4 +149,4 @@ def setting_of(each: Object) -> Setting:
     else:
         data = int(each.value).to_bytes(od.BITS[each.data_type] // 8, "little", signed=each.data_type in od.SIGNED)
     name = f"{each.group}, {each.name}" if each.group else each.name
-    return Setting(each.index, each.subindex or 0, name, data, is_text, each.access == "rw")
+    return Setting(each.index, each.subindex or 0, name, data, each.data_type, each.access == "rw")

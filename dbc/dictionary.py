@@ -17,7 +17,7 @@ from dbc.canopen import (
 )
 from dbc.contract import Contract, NodeContract, Tpdo
 from dbc.objects import HIGHEST_SUBINDEX, Access, Object, Value, array, mapping, places, record
-from dbc.packing import COUNTER_BYTES
+from dbc.packing import COUNTER_BYTES, Packing
 from dbc.program import ProgramControl
 from dbc.steps import WORD_BYTES
 from skin.layout import Layout
@@ -233,6 +233,12 @@ def _stepped_objects(contract: Contract, node: NodeContract) -> list[Object]:
     ]
 
 
+def sum_type(packing: Packing) -> int:
+    """Return the data type of a sum."""
+    wide, narrow = (od.INTEGER16, od.INTEGER8) if packing.is_signed else (od.UNSIGNED16, od.UNSIGNED8)
+    return wide if packing.bits > od.BITS[narrow] else narrow
+
+
 def _block(contract: Contract, block: int, place: int) -> list[Object]:
     """Return the objects of one block: taxels in chain order, calibration, counts, test pattern, and its sums.
 
@@ -249,8 +255,6 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
     def at(index: int) -> int:
         return od.of_block(index, place)
 
-    wide, narrow = (od.INTEGER16, od.INTEGER8) if contract.packing.is_signed else (od.UNSIGNED16, od.UNSIGNED8)
-    sum_type = wide if contract.packing.bits > od.BITS[narrow] else narrow
     of_taxels = [
         *array(at(od.GAIN), f"Gain{of}", chain, od.REAL32, "rw", value=1.0),
         *array(at(od.OFFSET), f"Offset in ADC counts{of}", chain, od.INTEGER16, "rw"),
@@ -261,5 +265,5 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
         *array(at(od.TAXELS), f"Taxels{of}", taxel_names, od.UNSIGNED16, "ro", value=taxels),
         *([] if contract.layout.taxels.is_analogue else of_taxels),
         Object(at(od.TEST_PATTERN), None, f"Test pattern{of}", od.UNSIGNED8, "rw", 0),
-        *(array(at(od.SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
+        *(array(at(od.SUMS), f"Sums{of}", sums, sum_type(contract.packing), "ro", pdo=True) if rows else []),
     ]

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+BOOLEAN: Final = 0x01
 INTEGER8: Final = 0x02
 INTEGER16: Final = 0x03
 UNSIGNED8: Final = 0x05
@@ -9,12 +10,27 @@ UNSIGNED16: Final = 0x06
 UNSIGNED32: Final = 0x07
 REAL32: Final = 0x08
 VISIBLE_STRING: Final = 0x09
+UNICODE_STRING: Final = 0x0B
 DOMAIN: Final = 0x0F
 UNSIGNED56: Final = 0x1A
 
-SIGNED: Final = (INTEGER8, INTEGER16)
-#: Width in bits; strings have none.
-BITS: Final = {INTEGER8: 8, INTEGER16: 16, UNSIGNED8: 8, UNSIGNED16: 16, UNSIGNED32: 32, REAL32: 32, UNSIGNED56: 56}
+#: Width in bits, of whole numbers with and without sign.
+SIGNED: Final = {INTEGER8: 8, INTEGER16: 16, 0x04: 32, 0x10: 24, 0x12: 40, 0x13: 48, 0x14: 56, 0x15: 64}
+UNSIGNED: Final = {
+    BOOLEAN: 1,
+    UNSIGNED8: 8,
+    UNSIGNED16: 16,
+    UNSIGNED32: 32,
+    0x16: 24,
+    0x18: 40,
+    0x19: 48,
+    UNSIGNED56: 56,
+    0x1B: 64,
+}
+#: Format for `struct`, of fractions: REAL32 and REAL64.
+REALS: Final = {REAL32: "<f", 0x11: "<d"}
+#: Width in bits of all numbers; strings have none.
+BITS: Final = {**SIGNED, **UNSIGNED, REAL32: 32, 0x11: 64}
 
 DEVICE_TYPE: Final = 0x1000
 ERROR_REGISTER: Final = 0x1001

@@ -42,21 +42,27 @@ class RateJudge:
     ----------
     is_given : bool
         The rate is kept, whatever the machine does.
+
+    Attributes
+    ----------
+    is_judged : bool
+        The run does not begin again at another rate.
     """
 
     def __init__(self, *, is_given: bool = False) -> None:
-        self._is_judged = is_given
+        self.is_judged = is_given
         self._earlier: GatewayStatus | None = None
         self._judge_at_s = 0.0
 
     def keeps(self, gateway: GatewayStatus | None, elapsed_s: float) -> bool:
         """Tell whether the rate is kept, by the newest state of the gateway."""
-        if self._is_judged or gateway is None or not SETTLED_S <= elapsed_s <= 2 * JUDGED_S:
+        self.is_judged |= elapsed_s > 2 * JUDGED_S
+        if self.is_judged or gateway is None or elapsed_s < SETTLED_S:
             return True
         if self._earlier is None:
             self._earlier, self._judge_at_s = gateway, elapsed_s + JUDGED_S - SETTLED_S
         if elapsed_s < self._judge_at_s:
             return True
-        self._is_judged = True
+        self.is_judged = True
         cycles = gateway.cycles - self._earlier.cycles
         return cycles > 0 and gateway.cycles_complete - self._earlier.cycles_complete >= KEPT_RATIO * cycles

@@ -203,16 +203,10 @@ class Run:
         """Show progress until the end of the run, or until the rate is not kept; tell whether it was."""
         if self._port is not None:
             self._console.print(f"web page: http://127.0.0.1:{self._port}/?token={self._page_token}", soft_wrap=True)
-        self._console.print(f"fabric: {endpoint}", highlight=False)
-        watch = ["skin", "monitor", "--connect", endpoint]  # skin doctor, skin list and others take it, too
-        self._console.print(f"to watch: {shlex.join(watch)}", highlight=False, soft_wrap=True)
-        record = ["skin", "record", "run.mcap", "--connect", endpoint]
-        self._console.print(
-            f"to record: SKIN_BUS_DIR={self._folder} {shlex.join(record)}", highlight=False, soft_wrap=True
-        )
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
         self._console.print(f"processes: {pids}", highlight=False, soft_wrap=True)
         self._await_first_cycle(stop)
+        addresses = self._addresses(endpoint)
         with progress("", self._options.seconds) as bar:
             start_s, before = time.monotonic(), self._supervisor.processor_times()
             while (elapsed_s := time.monotonic() - start_s) < self._options.seconds:
@@ -222,12 +216,25 @@ class Run:
                     if talks(Talk.NORMAL):
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
-                if not self._judge.keeps(self.score.gateway, elapsed_s):
+                is_kept = self._judge.keeps(self.score.gateway, elapsed_s)
+                while is_kept and self._judge.is_judged and addresses and talks(Talk.NORMAL):
+                    bar.print(addresses.pop(0))
+                if not is_kept:
                     self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), elapsed_s)
                     self._say_slower()
                     return False
             self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
         return True
+
+    def _addresses(self, endpoint: str) -> list[str]:
+        """Return what programs beside the run need: told when the gateway answers, at the rate of all the run."""
+        watch = ["skin", "monitor", "--connect", endpoint]  # skin doctor, skin list and others take it, too
+        record = ["skin", "record", "run.mcap", "--connect", endpoint]
+        return [
+            f"fabric: {endpoint}",
+            f"to watch: {shlex.join(watch)}",
+            f"to record: SKIN_BUS_DIR={self._folder} {shlex.join(record)}",
+        ]
 
     def _say_slower(self) -> None:
         report, rate_hz = self.score.report(), self._layout.sync.rate_hz

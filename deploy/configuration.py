@@ -130,7 +130,7 @@ ExecStart=/bin/sh -c 'exec {venv}/bin/skin record --layout "$$SKIN_LAYOUT" $$SKI
 
 @dataclass(frozen=True)
 class Adapter:
-    """A USB adapter's channel, and the name of its interface."""
+    """A USB adapter's channel, and the name of its interface; `serial` is a serial number, or ``@`` and a USB port."""
 
     name: str
     serial: str
@@ -138,11 +138,12 @@ class Adapter:
 
     @classmethod
     def from_text(cls, text: str) -> "Adapter":
-        """Read ``NAME=SERIAL`` or ``NAME=SERIAL:CHANNEL``."""
-        found = re.fullmatch(rf"([a-z][a-z0-9_]{{0,{NAME_MAX - 1}}})=([\w.-]+)(?::(\d+))?", text)
+        """Read ``NAME=SERIAL``, ``NAME=@PORT``, each with ``:CHANNEL`` or without."""
+        found = re.fullmatch(rf"([a-z][a-z0-9_]{{0,{NAME_MAX - 1}}})=([\w.-]+|@\d+-\d+(?:\.\d+)*)(?::(\d+))?", text)
         if found is None:
             raise InputError(
-                f"--adapter {text}: expected NAME=SERIAL or NAME=SERIAL:CHANNEL, for example skin0=0042A7:1"
+                f"--adapter {text}: expected NAME=SERIAL or NAME=SERIAL:CHANNEL, for example skin0=0042A7:1, or with @"
+                " and the USB port in place of SERIAL, skin0=@1-2.3"
             )
         if re.fullmatch(r"s?l?can\d+", found[1]):
             raise InputError(
@@ -153,7 +154,9 @@ class Adapter:
     @property
     def rule(self) -> str:
         """The rule of udev that names the interface; drivers number the channels of an adapter by dev_id."""
-        of = f'ATTRS{{serial}}=="{self.serial}", ATTR{{dev_id}}=="{self.channel:#x}"'
+        at = self.serial.removeprefix("@")
+        device = f'ATTRS{{serial}}=="{at}"' if at == self.serial else f'KERNELS=="{at}"'
+        of = f'{device}, ATTR{{dev_id}}=="{self.channel:#x}"'
         return f'ACTION=="add", SUBSYSTEM=="net", ATTR{{type}}=="{ARPHRD_CAN}", {of}, NAME="{self.name}"\n'
 
 
@@ -259,6 +262,10 @@ def write(arguments: Sequence[str]) -> None:
     names = channels(layout, BusOptions("socketcan", given.interface))
     adapters = [Adapter.from_text(text) for text in given.adapter]
     check_channels("socketcan", [each.name for each in adapters])
+    if len({(each.serial, each.channel) for each in adapters}) < len(adapters):
+        raise InputError(
+            "--adapter: two names for one adapter: those with equal serial numbers, or none, need NAME=@PORT"
+        )
     if unused := [each.name for each in adapters if each.name not in names]:
         raise InputError(f"--adapter {unused[0]}: expected a name of the interfaces, {', '.join(names)}")
     if given.kept is not None:

@@ -125,7 +125,7 @@ class FrozenBoards:
         counts: list[int] = []
         try:
             for each in places.tolist():
-                data = yield Read(od.COUNTS, each + 1)
+                data = yield Read(od.COUNTS, each + 1, od.UNSIGNED16)
                 counts += [int.from_bytes(data, "little")]
         except SdoAbortedError:
             return

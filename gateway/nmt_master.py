@@ -75,6 +75,7 @@ class NmtMaster:
     ) -> None:
         self._lines = GroupedLines(contract.layout.bus[bus].name, say)
         self._bus = BusOfNodes(
+            contract,
             send,
             use,
             self._lines,

@@ -16,7 +16,7 @@ import numpy as np
 from canskin.messages import SILENT, Fault, NodeFault
 from dbc.canopen import COMMANDED, NMT_COB_ID, NmtCommand, NmtState, state_text
 from dbc.configuration import Setting
-from dbc.contract import NodeContract
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S
 from gateway.foreign_sdo import GAINS, Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
@@ -102,6 +102,8 @@ class BusOfNodes:
 
     Attributes
     ----------
+    contract : Contract
+        Of the skin.
     send : callable
         Sends a classic frame: COB-ID and data.
     use : callable
@@ -118,6 +120,7 @@ class BusOfNodes:
         Nodes whose gains or offsets have become others since the list was last cleared, and not by the gateway.
     """
 
+    contract: Contract
     send: Send
     use: Callable[[NodeContract, bool], None]
     lines: GroupedLines
@@ -165,6 +168,8 @@ class NodeMachine:
         start, and the beginning of the newest proof.
     refusal : str
         Why the node is refused; empty in the other states.
+    unanswered : str
+        Why the newest proof that failed has no result.
     dialogue : SdoDialogue or None
         The open proof, in the states `*CHECKED`.
     errand : SdoDialogue or None
@@ -199,6 +204,7 @@ class NodeMachine:
     started_ns: int | None = 0
     proven_s: float = -np.inf
     refusal: str = ""
+    unanswered: str = ""
     dialogue: SdoDialogue | None = None
     errand: SdoDialogue | None = None
     began_s: float = -np.inf
@@ -227,7 +233,7 @@ class NodeMachine:
         if self.nmt == SILENT and self.heard_s == -np.inf:
             return NodeFault(Fault.AWAY if self.contract.is_optional else Fault.ABSENT)
         if self.nmt != SILENT and self.tries >= _IN_VAIN and self.loss.kind in {Fault.STARTING, Fault.SILENT}:
-            return NodeFault(Fault.UNANSWERED, f"{self.tries} proofs begun in vain")
+            return NodeFault(Fault.UNANSWERED, f"{self.tries} proofs begun in vain{self.unanswered}")
         return self.loss
 
     @property
@@ -386,13 +392,14 @@ class NodeMachine:
         self.asked = True
         proof = dialogue.result
         if not isinstance(proof, Proof):
+            self.unanswered = f": {dialogue.error}"
             self._happen(Event.UNANSWERED, now_s)
             return
         self.cost, self.is_other_device = proof.cost, proof.is_other_device
         if proof.written:
             self._log(f"set right: {proof.written}", now_s)
         if proof.refusal:
-            self._happen(Event.WRONG, now_s, proof.refusal)
+            self._happen(Event.WRONG, now_s, proof.told(self.bus.contract))
             return
         if self.known.take(proof.gains):
             self.bus.recalibrated.append(self.contract)

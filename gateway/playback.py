@@ -33,6 +33,8 @@ _CYCLES_IN_FLIGHT: Final = 2
 #: Of this number of frames with sums at least one is used: the first byte of a frame without counter is that of an open
 #: cycle by chance.
 _NAMED: Final = 10
+#: Stepped sums are measured for so long after the last frame; a clock that was set forward ends in no loop of years.
+_SILENCE_NS: Final = 60_000_000_000
 #: Length of the parts of a log.
 _PART_NS: Final = 100_000_000
 
@@ -81,6 +83,8 @@ class Playback:
         self._nodes = {(node.bus, node.node_id): node for node in contract.nodes}
         self._proofs = {number: InferredProofs([node.node_id for node in contract.on_bus(number)]) for number in sends}
         self._waiting: dict[int, list[Frames]] = {number: [] for number in sends}
+        self._sampled_ns = int(np.iinfo(np.int64).min)
+        self._fed_ns = dict.fromkeys(sends, start_ns)
         self._ready = {number: _Ready(frames(0)) for number in sends}
         #: The newest cycles: counter, time of the first SYNC, and the buses whose SYNC has come.
         self._open: list[tuple[int, int, set[int]]] = []
@@ -90,8 +94,13 @@ class Playback:
         self._made: list[Measurement] = []
 
     def feed(self, bus: int, logged: Frames) -> None:
-        """Take frames of a bus, in bus order; they are used by `advance`."""
-        self._waiting[bus].append(with_echoes(logged))
+        """Take frames of a bus, in bus order; they are used by `advance`. Times that fall stand still."""
+        marked = with_echoes(logged)
+        if len(marked):
+            newest_ns = np.maximum.accumulate(np.maximum(marked["time_ns"], self._fed_ns[bus]))
+            marked["time_ns"] = np.where(newest_ns - marked["time_ns"] > self._near_ns, newest_ns, marked["time_ns"])
+            self._fed_ns[bus] = int(newest_ns[-1])
+        self._waiting[bus].append(marked)
 
     def advance(self, until_ns: int) -> list[Measurement]:
         """Use all frames up to a time, of which none is missing; return the measurements that were made.
@@ -125,8 +134,13 @@ class Playback:
         return made + self._take_made()
 
     def _take_made(self) -> list[Measurement]:
-        made, self._made = self._made, []
-        return list(calibrated(made, self._calibrator))
+        forward = []
+        for each in self._made:
+            if each.sampled_mono_ns >= self._sampled_ns:  # else its SYNC was stamped by a clock that was set back
+                self._sampled_ns = each.sampled_mono_ns
+                forward.append(each)
+        self._made = []
+        return list(calibrated(forward, self._calibrator))
 
     def status(self) -> GatewayStatus:
         """Return the counters of the gateway; the states of nodes are those of their newest heartbeats."""
@@ -158,7 +172,7 @@ class Playback:
         """Use the frames before a time, of some buses those before a place, and make the measurements that are due."""
         step_ns = self._loop.gathering.replay_step_ns
         if step_ns is not None:
-            for between_ns in range(self._now_ns + step_ns, time_ns, step_ns):
+            for between_ns in range(self._now_ns + step_ns, min(time_ns, self._now_ns + _SILENCE_NS), step_ns):
                 self._take_until(between_ns, {})
                 self._measure(between_ns)
         self._take_until(time_ns, ends or {})

@@ -16,6 +16,7 @@ from typing import Final
 from dbc import indices as od
 from dbc.canopen import COB_ID_INVALID
 from dbc.configuration import Setting
+from dbc.contract import Contract
 from gateway.foreign_sdo import CONFIGURATION, GAINS
 from gateway.sdo import Read, SdoAbortedError, Transfer, Write
 
@@ -45,6 +46,8 @@ class Proof:
         Why the node's sums must not be used; empty if they may.
     is_other_device : bool
         The node is refused because of its identity (1018h).
+    block : int or None
+        The block (2000h) of a node that is refused because it has another than the contract's.
     can_write : bool
         The node is refused because of objects that can all be written.
     written : str
@@ -60,12 +63,23 @@ class Proof:
 
     refusal: str = ""
     is_other_device: bool = False
+    block: int | None = None
     can_write: bool = False
     written: str = ""
     has_signature: bool = False
     gains: Gains = None
     is_one_read: bool = False
     cost: int = 1
+
+    def told(self, contract: Contract) -> str:
+        """Return the refusal, and of a board that is another of the skin which: its interface may be swapped."""
+        homes = [
+            f"{contract.layout.bus[each.bus].name} node {each.node_id}"
+            for each in contract.nodes
+            if each.block == self.block
+        ]
+        is_home = f"it is the board of {homes[0]}: are interfaces or boards swapped? " if homes else ""
+        return f"{is_home}{self.refusal}"
 
 
 @dataclass
@@ -192,6 +206,8 @@ def _prove_configuration(
     if wrong:
         proof.refusal, proof.can_write = _in_words(fixed or wrong), not fixed
         proof.is_other_device = any(setting.index == od.IDENTITY for setting, _ in fixed)
+        blocks = [int.from_bytes(data, "little") for setting, data in fixed if setting.index == od.BLOCK]
+        proof.block = blocks[0] if blocks else None
     elif proof.has_signature:
         proof.refusal = f"its objects are right, but not their signature ({od.SIGNATURE:04X}h)"
     if not proof.has_signature:
@@ -218,7 +234,7 @@ def _signature_is_right(expected: int, known: Known, proof: Proof) -> Generator[
 
 def _read_signature(index: int) -> Generator[Transfer, bytes, int]:
     try:
-        return int.from_bytes((yield Read(index)), "little")
+        return int.from_bytes((yield Read(index, 0, od.UNSIGNED32)), "little")
     except SdoAbortedError:
         return NO_SIGNATURE
 
@@ -242,7 +258,7 @@ def _values(settings: Sequence[Setting]) -> Generator[Transfer, bytes, dict[tupl
     found = {}
     for each in settings:
         try:
-            found[each.index, each.subindex] = yield Read(each.index, each.subindex)
+            found[each.index, each.subindex] = yield Read(each.index, each.subindex, each.data_type)
         except SdoAbortedError:
             found[each.index, each.subindex] = b""
     return found
@@ -253,8 +269,8 @@ def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list
     wrong = []
     # The identity first: another device may have none of the other objects.
     for setting in sorted(settings, key=lambda each: each.index != od.IDENTITY):
-        data = yield Read(setting.index, setting.subindex)
-        if not setting.matches(data):
+        data = yield Read(setting.index, setting.subindex, setting.data_type)
+        if data != setting.data:
             wrong.append((setting, data))
             if setting.index == od.IDENTITY:
                 break

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from dbc.canopen import SDO_BYTES, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
+from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from gateway.foreign_sdo import SDO_QUIET_S
 from gateway.sdo import Dialogue, SdoDialogue
 
@@ -60,8 +60,7 @@ class Questions:
     def take(self, base: int, node_id: int, data: bytes, now_s: float) -> None:
         """Use a frame that a device or another client sent: its identifier is `base` + `node_id`."""
         if base == SDO_RESPONSE_BASE and node_id in self._open:
-            if len(data) == SDO_BYTES:
-                self._open[node_id].take(data, now_s)
+            self._open[node_id].take(data, now_s)
         elif base in {SDO_REQUEST_BASE, SDO_RESPONSE_BASE}:
             self._free_s[node_id] = now_s + SDO_QUIET_S
             if node_id in self._open:

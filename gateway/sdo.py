@@ -9,7 +9,7 @@ import struct
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, cast
 
 from dbc.canopen import (
     FIRST_ABORT_OF_THE_OBJECT,
@@ -21,6 +21,7 @@ from dbc.canopen import (
     Abort,
 )
 from dbc.contract import LONGEST_VALUE
+from dbc.values import value_bytes
 
 #: Time limit of an answer. Answers wait for the whole burst of sums: less than one period, 10 ms at 100 Hz.
 TIMEOUT_S: Final = 0.3
@@ -33,6 +34,8 @@ MOST_LOST: Final = 10
 ROOM_S: Final = 0.0004
 
 _TOGGLE: Final = 0x10
+#: The command of an abort, in the three highest bits.
+_ABORTED: Final = 0x80
 #: Most segments of a block.
 _MOST_SEGMENTS: Final = 127
 #: Bytes of a segment.
@@ -43,10 +46,11 @@ _BLOCK_BITS: Final = 0xE3
 
 @dataclass(frozen=True)
 class Read:
-    """Upload of one object."""
+    """Upload of one object; `data_type` tells which bytes of the answer are the value (`dbc.values.value_bytes`)."""
 
     index: int
-    subindex: int = 0
+    subindex: int
+    data_type: int
 
     @property
     def request(self) -> bytes:
@@ -96,22 +100,25 @@ class SdoError(Exception):
 
 
 class SdoTimeoutError(SdoError):
-    """The node answered none of the attempts."""
+    """The node answered none of the attempts; the last of what came instead is named."""
 
 
 class SdoAbortedError(SdoError):
-    """The node aborted the transfer; `code` is the abort code (CiA 301, table 22)."""
+    """The node aborted the transfer, or its answer is no value; `code` is the abort code (CiA 301, table 22)."""
 
-    def __init__(self, transfer: Transfer, code: int) -> None:
-        try:
-            words = Abort(code).name.lower().replace("_", " ")
-        except ValueError:
-            from canopen.sdo.exceptions import SdoAbortedError as Known
-
-            words = Known.CODES.get(code, "").lower()
-        named = f"abort {code:08X}h{', ' * bool(words)}{words}"
-        super().__init__(f"object {transfer.index:04X}h:{transfer.subindex}: {named}")
+    def __init__(self, transfer: Transfer, code: int, words: str = "") -> None:
+        super().__init__(f"object {transfer.index:04X}h:{transfer.subindex}: {words or _abort_text(code)}")
         self.code = code
+
+
+def _abort_text(code: int) -> str:
+    try:
+        words = Abort(code).name.lower().replace("_", " ")
+    except ValueError:
+        from canopen.sdo.exceptions import SdoAbortedError as Known
+
+        words = Known.CODES.get(code, "").lower()
+    return f"abort {code:08X}h{', ' * bool(words)}{words}"
 
 
 class SdoDialogue:
@@ -159,10 +166,13 @@ class SdoDialogue:
         self._send = send
         self._attempts = attempts
         self._timeout_s = timeout_s
-        self._transfer: Transfer = Read(0)
+        self._transfer: Transfer = Read(0, 0, 0)
         self._tried = 0
         self._value: bytearray | None = None
-        self._toggle = 0
+        #: Of an upload in segments: the bytes that the node has told, 0 if none.
+        self._told = self._toggle = 0
+        #: The newest answer that is none to the transfer, in words.
+        self._unused = ""
         #: Of a download: its requests, those that have found no room yet, and whether blocks are refused.
         self._requests: _Requests | None = None
         self._waiting: deque[bytes] = deque()
@@ -186,22 +196,36 @@ class SdoDialogue:
         self._retry(now_s)
 
     def take(self, data: bytes, now_s: float) -> None:
-        """Use an answer of the node; answers to another client are ignored."""
-        if self.done or len(data) != SDO_BYTES:
+        """Use an answer of the node; answers to another client are only named when no other comes."""
+        if self.done:
             return
-        kind = data[0] & 0xE0
-        if kind == 0x80:
+        if why := self._why_unused(data):
+            self._unused = f" but {data.hex().upper()}, {why}"
+        elif data[0] & 0xE0 == _ABORTED:
             self._aborted(data, now_s)
         elif self._requests is not None:
             self._go_on_with(self._requests, data, now_s)
         elif isinstance(self._transfer, Write):
-            if kind == 0x60 and self._is_mine(data):
-                self._answered(b"", now_s)
+            self._answered(b"", now_s)
         elif self._value is None:
-            if kind == 0x40 and self._is_mine(data):
-                self._begun(data, now_s)
-        elif kind == 0x00:
+            self._begun(data, now_s)
+        else:
             self._segment(self._value, data, now_s)
+
+    def _why_unused(self, data: bytes) -> str:
+        """Tell why a frame is no answer to the newest request, empty if it is one."""
+        if len(data) != SDO_BYTES:
+            return f"which has {len(data)} bytes, not {SDO_BYTES}"
+        kind, is_upload = data[0] & 0xE0, self._requests is None and isinstance(self._transfer, Read)
+        if is_upload and self._value is not None and kind == 0:
+            return "" if data[0] & _TOGGLE == self._toggle else "which has the wrong toggle bit"
+        if self._requests is not None and kind != _ABORTED:
+            return ""
+        if kind != _ABORTED and (self._value is not None or kind != (0x40 if is_upload else 0x60)):
+            return "which answers another request"
+        if not self._is_mine(data) and (kind != _ABORTED or any(data[1:4])):
+            return f"which is of object {int.from_bytes(data[1:3], 'little'):04X}h:{data[3]}"
+        return ""
 
     def ask_again(self, data: bytes, now_s: float) -> None:
         """Repeat a read at once if `data`, which must not be used, answers it; the attempt does not count."""
@@ -215,18 +239,30 @@ class SdoDialogue:
     def _begun(self, data: bytes, now_s: float) -> None:
         if data[0] & 0x02:  # expedited
             unused = data[0] >> 2 & 0x03 if data[0] & 0x01 else 0
-            self._answered(data[4 : SDO_BYTES - unused], now_s)
+            self._came(data[4 : SDO_BYTES - unused], now_s, has_size=bool(data[0] & 0x01))
             return
         self._value, self._toggle = bytearray(), 0
+        self._told = int.from_bytes(data[4:], "little") if data[0] & 0x01 else 0
         self._ask_segment(now_s)
 
+    def _came(self, data: bytes, now_s: float, *, has_size: bool = True) -> None:
+        """Go on with the value in the bytes of an upload."""
+        why = f"expected the {self._told} bytes that the node has told, got {len(data)}"
+        if self._told in (0, len(data)):
+            try:
+                value = value_bytes(cast("Read", self._transfer).data_type, data, has_size=has_size)
+            except ValueError as error:
+                why = str(error)
+            else:
+                self._answered(value, now_s)
+                return
+        self._fail(SdoAbortedError(self._transfer, Abort.LENGTH, why), now_s)
+
     def _segment(self, value: bytearray, data: bytes, now_s: float) -> None:
-        if data[0] & _TOGGLE != self._toggle:
-            return
         came = data[1 : SDO_BYTES - (data[0] >> 1 & 0x07)]
         value += came
         if data[0] & 0x01:
-            self._answered(bytes(value), now_s)
+            self._came(bytes(value), now_s)
         elif not came or len(value) > LONGEST_VALUE:  # a transfer without end
             self._abort(Abort.MEMORY)
             self._fail(SdoAbortedError(self._transfer, Abort.MEMORY), now_s)
@@ -246,8 +282,10 @@ class SdoDialogue:
             self._retry(now_s)
             return
         if following:
-            self._waiting = deque(following)
+            self._waiting, self._unused = deque(following), ""
             self._send_waiting(now_s)
+        else:
+            self._unused = f" but {answer.hex().upper()}, which answers another request"
 
     def _send_waiting(self, now_s: float) -> None:
         """Send requests of a download while there is room; the time limit begins anew with each."""
@@ -258,17 +296,17 @@ class SdoDialogue:
 
     def _ask_segment(self, now_s: float) -> None:
         self.due_s = self._limit_s = now_s + self._timeout_s
+        self._unused = ""
         self._send(self._cob_id, bytes((0x60 | self._toggle, 0, 0, 0, 0, 0, 0, 0)))
 
     def _aborted(self, data: bytes, now_s: float) -> None:
         code = int.from_bytes(data[4:8], "little")
-        if not self._is_mine(data) and data[1:4] != bytes(3):
-            return
         is_download, self._waiting = self._requests is not None, deque()
         if is_download and code == Abort.COMMAND and not self._in_segments:
             self._in_segments = True  # the node has no block download
             self._begin(now_s)
         elif code < FIRST_ABORT_OF_THE_OBJECT:
+            self._unused = f" but {_abort_text(code)}"
             self._retry(now_s)  # the transfer failed, not the access to the object
         else:
             self._fail(SdoAbortedError(self._transfer, code), now_s)
@@ -276,7 +314,7 @@ class SdoDialogue:
     def _retry(self, now_s: float) -> None:
         if self._tried >= self._attempts:
             index, subindex = self._transfer.index, self._transfer.subindex
-            self._fail(SdoTimeoutError(f"no answer to object {index:04X}h:{subindex}"), now_s)
+            self._fail(SdoTimeoutError(f"no answer to object {index:04X}h:{subindex}{self._unused}"), now_s)
         else:
             self._begin(now_s)
 
@@ -284,6 +322,7 @@ class SdoDialogue:
         self._tried += 1
         self.asked_s = now_s
         self._value = self._requests = None
+        self._told = 0
         self.due_s = self._limit_s = now_s + self._timeout_s
         to = self._transfer
         if isinstance(to, Download):
@@ -313,7 +352,7 @@ class SdoDialogue:
         except SdoError as error:
             self.done, self.error = True, error
         else:
-            self._tried = 0
+            self._tried, self._unused = 0, ""
             self._begin(now_s)
 
 

@@ -75,4 +75,4 @@ class Strangers:
 
 
 def _ask(_node_id: int) -> Dialogue:
-    return produces_sync(int.from_bytes((yield Read(od.SYNC_COB_ID)), "little"))
+    return produces_sync(int.from_bytes((yield Read(od.SYNC_COB_ID, 0, od.UNSIGNED32)), "little"))

@@ -116,11 +116,9 @@ class SumRequests:
 
     def _noise(self, node: int) -> _Steps:
         """Read a node's noise; a node without one (0) is not counted."""
-        data = yield Read(od.NODE_NOISE)
-        if len(data) == struct.calcsize("<f"):
-            (noise_n,) = struct.unpack("<f", data)
-            if 0 < noise_n < np.inf:
-                self._take_noise(node, noise_n)
+        (noise_n,) = struct.unpack("<f", (yield Read(od.NODE_NOISE, 0, od.REAL32)))
+        if 0 < noise_n < np.inf:
+            self._take_noise(node, noise_n)
 
 
 def _refresh() -> _Steps:

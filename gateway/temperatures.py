@@ -1,6 +1,5 @@
 """The temperatures of the boards (2036h), which the gateway reads in turn while they run."""
 
-import struct
 from collections.abc import Callable, Generator, Mapping
 from typing import Final
 
@@ -54,10 +53,10 @@ class Temperatures:
 
     def _read(self, node: NodeContract) -> Generator[Transfer, bytes, None]:
         try:
-            data = yield Read(od.TEMPERATURE)
+            data = yield Read(od.TEMPERATURE, 0, od.INTEGER16)
+            steps = int.from_bytes(data, "little", signed=True)
         except SdoAbortedError:
-            data = b""
-        (steps,) = struct.unpack("<h", data) if len(data) == struct.calcsize("<h") else (TEMPERATURE_UNKNOWN,)
+            steps = TEMPERATURE_UNKNOWN
         self._note(node, STEP_K * steps if 0 < steps < TEMPERATURE_UNKNOWN else np.nan)
 
     def _note(self, node: NodeContract, kelvin: float) -> None:

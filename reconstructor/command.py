@@ -3,12 +3,14 @@
 from contextlib import closing
 from pathlib import Path
 
+from canskin.errors import InputError
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService, warm_up
 from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
+from skin.limits import read_file
 
 
 def reconstruct(
@@ -37,7 +39,9 @@ def reconstruct(
     """
     stop, of = StopSignal().install(), of or SkinOptions()
     pulse = Pulse(stop)
-    (solver or SolverOptions()).settings()  # its errors before any wait
+    (solver or SolverOptions()).settings()  # its errors before any wait, and those of a file
+    if gains is not None:
+        read_file(gains, InputError, "the gains")
     skin = of.find("reconstructor", stop)
     imager = make_imager(skin, solver, gains)
     warm_up(skin, imager)

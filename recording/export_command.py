@@ -46,7 +46,8 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
         colours and marks of the page. ``ros2``: a bag of ROS 2, a folder with MCAP and CDR. ``rerun``, ``foxglove``: a
         file for their viewers. All but ``npz`` need the extra of their name, for example canskin[parquet].
     out
-        New file; of ``parquet`` the names of the tables are added; default: the name of the recording.
+        New file; without a suffix it gets that of its kind; of ``parquet`` the names of the tables are added. Default:
+        the name of the recording.
 
     Examples
     --------
@@ -58,9 +59,11 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
     if not is_recording(recording) or not recording.is_file():
         raise InputError(f"{recording}: expected a recording of 'skin record' (.mcap)")
     path = out or recording.with_name(recording.stem + _SUFFIXES[to])
-    of_others = {suffix for other, suffix in _SUFFIXES.items() if suffix and other != to}
-    if path.suffix.lower() in of_others:
+    suffix, got = Path(f"run{_SUFFIXES[to]}").suffix, path.suffix.lower()
+    if got not in {"", suffix} and (suffix or got in {Path(f"run{each}").suffix for each in _SUFFIXES.values()}):
         raise InputError(f"{path}: --to {to} writes no '{path.suffix}': expected another --to, or another suffix")
+    if not got:
+        path = path.with_name(path.name + _SUFFIXES[to])
     if to == "video":
         _export_video(recording, path)
         return

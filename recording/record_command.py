@@ -88,7 +88,7 @@ def record(
     skin = of.find("recorder", stop)
     if of.layout is not None:
         of.compare(skin)
-    check_format(out, len(skin.bus))
+    check_format(out, skin)
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
     opened = range(len(skin.bus) if frames else 0)
@@ -160,5 +160,9 @@ def _conclude(recorder: Recorder, out: Path) -> None:
     missed = ", ".join(f"{count} {topic}" for topic, count in recorder.missed.counts().items())
     if missed and recorder.messages:
         say("record", f"messages that never came, because the fabric drops them on a busy machine: {missed}")
+    if recorder.left_out:
+        say(
+            "record", f"{recorder.left_out} error, remote or CAN FD frames are missing: {out.suffix} does not hold them"
+        )
     if recorder.lost:
         say("record", f"{recorder.lost} frames or messages came too fast for this machine and are missing")

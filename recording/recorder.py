@@ -45,6 +45,8 @@ class Recorder:
     ----------
     frames, messages : int
         Written so far; marks do not count.
+    left_out : int
+        Frames that the format of the file does not hold.
     missed : Missed
         Messages that did not come.
     """
@@ -58,7 +60,7 @@ class Recorder:
         wall_ns: Callable[[], int] = time.time_ns,
         mono_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self.frames = self.messages = 0
+        self.frames = self.messages = self.left_out = 0
         self.missed = Missed()
         self._links, self._sink, self._names = dict(links), sink, names
         self._wall_ns, self._mono_ns = wall_ns, mono_ns
@@ -126,8 +128,9 @@ class Recorder:
                 arrived = link.receive()
                 if not len(arrived):
                     break
-                self.frames += len(arrived)
-                self._sink.frames(number, arrived, now_ns, offset_ns)
+                held = self._sink.frames(number, arrived, now_ns, offset_ns)
+                self.frames += held
+                self.left_out += len(arrived) - held
             self._look(number, link)
         for _ in range(len(self._waiting)):
             time_ns, topic, content = self._waiting.popleft()

@@ -2,27 +2,35 @@
 
 import contextlib
 import platform
-from collections.abc import Mapping
+import sqlite3
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from bus.messages import to_message
+from bus.messages import CANDUMP_ERROR, to_message
 from canskin.errors import InputError
 from canskin.messages import Topic
 from dbc.contract import Contract
-from dbc.frame import CLASSIC_BYTES, FD_BYTES, Frames, frames
+from dbc.frame import CLASSIC_BYTES, ERROR, FD, FD_BYTES, REMOTE, Frames, frames
 from dbc.generate import contract_files
 from dbc.stored_frames import RECORD_TEXT, to_bytes
 from recording import RECORDING_SUFFIX, is_recording
 from recording.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, RECORDING, WALL_OFFSET_NS, File, RecordingWriter
 from skin.layout import Layout, layout_text
 
+if TYPE_CHECKING:
+    import can
+
 #: Formats of python-can that do not keep the channel of a frame.
 WITHOUT_CHANNELS: Final = (".csv", ".db")
+#: Flags of the frames that a format of python-can does not hold.
+_NOT_HELD: Final = {".csv": FD, ".db": FD, ".trc": FD | ERROR | REMOTE}
+#: The format that python-can's own writer does not write to its end.
+_DATABASE: Final = ".db"
 #: The format whose channels have names; the others number them.
 _NAMED: Final = ".log"
 #: Time that frames of several buses wait for each other: a log has its frames in the order of time.
@@ -44,8 +52,8 @@ class Sink(Protocol):
 
     has_messages: bool
 
-    def frames(self, bus: int, arrived: Frames, now_ns: int, offset_ns: int) -> None:
-        """Add the frames of a bus."""
+    def frames(self, bus: int, arrived: Frames, now_ns: int, offset_ns: int) -> int:
+        """Add the frames of a bus; return how many of them the format holds."""
         ...
 
     def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
@@ -109,9 +117,44 @@ class McapSink(RecordingWriter):
             }
             self.add_topic(self._topics[number], "canskin-frames", about)
 
-    def frames(self, bus: int, arrived: Frames, now_ns: int, _offset_ns: int) -> None:
+    def frames(self, bus: int, arrived: Frames, now_ns: int, _offset_ns: int) -> int:
         """Add the frames of a bus."""
         self.add(self._topics[bus], now_ns, to_bytes(arrived, self._data_bytes[bus]))
+        return len(arrived)
+
+
+class _Database:
+    """Writes SQLite as python-can reads it, in the caller's thread: python-can's own writer loses rows at its end."""
+
+    def __init__(self, path: Path) -> None:
+        with self._failing():
+            self._rows = sqlite3.connect(path)
+            columns = "ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER, dlc INTEGER"
+            self._rows.execute(f"CREATE TABLE messages ({columns}, data BLOB)")
+
+    def on_message_received(self, message: "can.Message") -> None:
+        """Add a row."""
+        flags = message.is_extended_id, message.is_remote_frame, message.is_error_frame
+        row = message.timestamp, message.arbitration_id, *flags, message.dlc, bytes(message.data)
+        with self._failing():
+            self._rows.execute("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)", row)
+
+    def flush(self) -> None:
+        """Make all rows readable."""
+        with self._failing():
+            self._rows.commit()
+
+    def stop(self) -> None:
+        """Write the last rows, and close the file."""
+        self.flush()
+        self._rows.close()
+
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise OSError(f"SQLite: {error}") from error
 
 
 class LogSink:
@@ -122,18 +165,21 @@ class LogSink:
     def __init__(self, path: Path, layout: Layout) -> None:
         import can
 
-        self._log = can.Logger(path)
-        is_named = path.suffix.lower() == _NAMED
-        self._channels = [bus.name if is_named else str(number) for number, bus in enumerate(layout.bus)]
+        suffix = path.suffix.lower()
+        self._log: Any = _Database(path) if suffix == _DATABASE else can.Logger(path)
+        self._is_named = suffix == _NAMED
+        self._not_held = _NOT_HELD.get(suffix, 0)
+        self._channels = [bus.name if self._is_named else str(number) for number, bus in enumerate(layout.bus)]
         self._waiting = frames(0)
         self._offset_ns = 0
 
-    def frames(self, bus: int, arrived: Frames, _now_ns: int, offset_ns: int) -> None:
-        """Add the frames of a bus."""
-        arrived = arrived.copy()
+    def frames(self, bus: int, arrived: Frames, _now_ns: int, offset_ns: int) -> int:
+        """Add the frames of a bus that the format holds."""
+        arrived = arrived[arrived["flags"] & self._not_held == 0]
         arrived["port"] = bus
         self._waiting = np.concatenate((self._waiting, arrived))
         self._offset_ns = offset_ns
+        return len(arrived)
 
     def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
         """Leave the message out."""
@@ -148,9 +194,8 @@ class LogSink:
         """Write the frames that no other bus can precede."""
         if len(self._waiting):
             self._write(int(self._waiting["time_ns"].max()) - _ORDER_NS)
-        file = getattr(self._log, "file", None)
-        if file is not None:
-            file.flush()
+        getattr(self._log, "_flush", lambda: None)()  # BLF is written in containers
+        getattr(self._log, "file", self._log).flush()
 
     def close(self) -> None:
         """Write the last frames and the end of the log."""
@@ -167,7 +212,11 @@ class LogSink:
         due, self._waiting = self._waiting[is_due], self._waiting[~is_due]
         for place in np.argsort(due["time_ns"], kind="stable"):
             record = due[place]
-            self._log.on_message_received(to_message(record, self._channels[record["port"]], self._offset_ns))
+            message = to_message(record, self._channels[record["port"]], self._offset_ns)
+            if self._is_named and message.is_error_frame:  # python-can would write every error as the same
+                message.is_error_frame, message.is_extended_id = False, True
+                message.arbitration_id |= CANDUMP_ERROR
+            self._log.on_message_received(message)
 
 
 def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Sink:
@@ -186,8 +235,8 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
         raise InputError(f"{path}: python-can cannot write {path.suffix} here: {error}") from error
 
 
-def check_format(path: Path, buses: int) -> None:
-    """Check that `path` names a format, and that a log of this format can have `buses` buses."""
+def check_format(path: Path, layout: Layout) -> None:
+    """Check that `path` names a format, and that a log of this format holds the frames of all buses of a layout."""
     if is_recording(path):
         return
     from can.io.logger import MESSAGE_WRITERS
@@ -198,5 +247,8 @@ def check_format(path: Path, buses: int) -> None:
             f"{path}: expected a file that ends in {RECORDING_SUFFIX}, or, for frames alone, in one of "
             f"{', '.join(sorted(MESSAGE_WRITERS))}"
         )
+    buses = len(layout.bus)
     if suffix in WITHOUT_CHANNELS and buses > 1:
         raise InputError(f"{path}: a {suffix} log does not tell the buses apart, this skin has {buses}: choose another")
+    if _NOT_HELD.get(suffix, 0) & FD and any(bus.fd for bus in layout.bus):
+        raise InputError(f"{path}: a {suffix} log does not hold CAN FD, which this skin has: choose another")

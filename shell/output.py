@@ -31,15 +31,21 @@ def check_picture_path(path: Path) -> None:
 
 def check_new_path(path: Path, what: str, suffix: str = "") -> None:
     """Check that a new file that ends in `suffix` can be written at `path`; `what` names the file in the error."""
-    if suffix and path.suffix.lower() != suffix:
-        raise InputError(f"{path}: expected a new file for the {what} that ends in {suffix}, got '{path.suffix}'")
+    check_suffix(path, what, suffix)
     if path.exists():
         raise InputError(f"{path}: is there already; remove it, or choose another name")
     check_output_path(path, what)
 
 
-def check_output_path(path: Path, what: str) -> None:
-    """Check that a file can be written at `path`; `what` names the file in the error."""
+def check_suffix(path: Path, what: str, suffix: str) -> None:
+    """Check that a file to write ends in `suffix`; `what` names the file in the error."""
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"{path}: expected a file for the {what} that ends in {suffix}, got '{path.suffix}'")
+
+
+def check_output_path(path: Path, what: str, suffix: str = "") -> None:
+    """Check that a file that ends in `suffix` can be written at `path`; `what` names the file in the error."""
+    check_suffix(path, what, suffix)
     if not path.resolve().parent.is_dir():
         raise InputError(f"{path}: the folder for the {what} does not exist: make the folder, or give another path")
     is_new = not path.exists()

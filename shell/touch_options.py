@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from canskin.errors import InputError
 from skin.defects import KINDS, Defects, option_name, parse_defects, parse_stops
 from skin.layout import Layout
+from skin.ranges import listed
 from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, object_names, step_rate_hz
 
 ObjectNames = Annotated[
@@ -109,7 +110,7 @@ class TouchOptions:
             columns=taxels.columns,
             full_scale=self.full_scale,
             force_max_n=taxels.force_max_n,
-            arrays=tuple(self.array) if self.array else None,
+            arrays=tuple(listed(self.array)) if self.array else None,
             rate_hz=step_rate_hz(layout),
             frame_rate_hz=self.rate,
         )

@@ -1,18 +1,17 @@
 """Skins that exist: where their taxels lie, which taxels each board has, and in which order."""
 
-import csv
+import contextlib
 from collections import Counter
-from collections.abc import Sequence
-from io import StringIO
-from itertools import chain, islice
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from canskin.errors import LayoutError
-from skin.limits import read_file
 from skin.surface import Surface
+from skin.text_tables import MOST, Row, read_table
 from skin.walsh import Indices
 
 #: A place of a board without a taxel.
@@ -22,10 +21,6 @@ _KEY: Final = "at `$.measurement.chains`"
 _HEADER: Final = "board,place,taxel or board,place,row,column"
 _POSITION: Final = ("x_m", "y_m", "z_m")
 _NORMAL: Final = ("nx", "ny", "nz")
-#: Largest number of a taxel, board or place.
-MOST: Final = int(np.iinfo(np.uint16).max)
-#: Most columns of a file.
-_COLUMNS_MAX: Final = 16
 
 
 def read_chains(path: Path, columns: int) -> list[list[int]]:
@@ -48,21 +43,21 @@ def read_chains(path: Path, columns: int) -> list[list[int]]:
     LayoutError
         If the file is no such table, or names a place twice.
     """
-    names, lines = read_lines(path, "chains")
-    if not ({"board", "place", "taxel"} <= names or {"board", "place", "row", "column"} <= names):
-        raise LayoutError(
-            f"{path}: expected the header {_HEADER}, got {','.join(sorted(names))[:60] or 'none'} - {_KEY}"
-        )
-    found = _Boards()
-    for where, line in lines:
-        taxel = _whole(line, where, "taxel") if "taxel" in names else _whole(line, where, "row") * columns
-        if "taxel" not in names:
-            column = _whole(line, where, "column")
-            if column >= columns:
-                raise LayoutError(f"{where}: expected columns below {columns}, got {column} - {_KEY}")
-            taxel += column
-        found.read(line, where, taxel)
-    return found.chains()
+    with _at(_KEY):
+        table = read_table(path, "chains", ("board", "place", "taxel", "row", "column"))
+        names = table.columns.keys()
+        if not ({"board", "place", "taxel"} <= names or {"board", "place", "row", "column"} <= names):
+            raise LayoutError(f"{path}: expected the header {_HEADER}, got {_got(names)}")
+        found = _Boards()
+        for row in table.rows:
+            taxel = _whole(row, "taxel") if "taxel" in names else _whole(row, "row") * columns
+            if "taxel" not in names:
+                column = _whole(row, "column")
+                if column >= columns:
+                    raise LayoutError(f"{row.where}: expected columns below {columns}, got {column}")
+                taxel += column
+            found.read(row, taxel)
+        return found.chains()
 
 
 def read_positions(path: Path) -> tuple[list[list[float]], list[list[int]] | None]:
@@ -77,7 +72,7 @@ def read_positions(path: Path) -> tuple[list[list[float]], list[list[int]] | Non
     Returns
     -------
     positions : list of list of float
-        Three or six numbers of each taxel.
+        Three or six numbers of each taxel, positions in metres.
     chains : list of list of int or None
         Of each board the taxels by place; None without the column `board`.
 
@@ -86,22 +81,27 @@ def read_positions(path: Path) -> tuple[list[list[float]], list[list[int]] | Non
     LayoutError
         If the file is no such table, or names a place twice.
     """
-    names, lines = read_lines(path, "positions")
-    if not names >= set(_POSITION):
-        got = ",".join(sorted(names))[:60] or "none"
-        raise LayoutError(f"{path}: expected the header {','.join(_POSITION)},..., got {got} - at `$.taxels.positions`")
-    if not lines:
-        raise LayoutError(f"{path}: expected a line for each taxel, got none - at `$.taxels.positions`")
-    wanted = (*_POSITION, *_NORMAL) if names >= set(_NORMAL) else _POSITION
-    positions, boards = [], _Boards()
-    for taxel, (where, line) in enumerate(lines):
-        try:
-            positions.append([float(line[name]) for name in wanted])
-        except (TypeError, ValueError) as error:
-            raise LayoutError(f"{where}: expected numbers: {error} - at `$.taxels.positions`") from error
-        if "board" in names:
-            boards.read(line, where, taxel)
-    return positions, boards.chains() if "board" in names else None
+    wanted = (*_POSITION, *_NORMAL, "board", "place")
+    with _at("at `$.taxels.positions`"):
+        table = read_table(path, "positions", wanted)
+        names = table.columns.keys()
+        if not names >= set(_POSITION):
+            units = "or x_mm, x [mm] and so on"
+            raise LayoutError(f"{path}: expected the header {','.join(_POSITION)},..., {units}, got {_got(names)}")
+        if not table.rows:
+            raise LayoutError(f"{path}: expected a line for each taxel, got none")
+        for some, needed in ((_NORMAL, _NORMAL), (("place",), ("board", "place"))):
+            if names & set(some) and not names >= set(needed):
+                raise LayoutError(f"{path}: expected the columns {','.join(needed)} together, got {_got(names)}")
+        has_normals = names >= set(_NORMAL)
+        positions = [table.numbers(row, wanted[: 6 if has_normals else 3]) for row in table.rows]
+    if "board" not in names:
+        return positions, None
+    boards = _Boards()
+    with _at(_KEY):
+        for taxel, row in enumerate(table.rows):
+            boards.read(row, taxel)
+    return positions, boards.chains()
 
 
 def positions_text(surface: Surface, chains: Sequence[Sequence[int]] | None) -> str:
@@ -116,38 +116,23 @@ def positions_text(surface: Surface, chains: Sequence[Sequence[int]] | None) -> 
     return "\n".join(map(",".join, [header, *texts])) + "\n"
 
 
-def read_lines(path: Path, what: str) -> tuple[set[str], list[tuple[str, dict[str, str]]]]:
-    """Read a CSV file: the names of its columns, and each line with its file and number."""
-    content = read_file(path, LayoutError, f"the {what}")
-    try:
-        table = csv.DictReader(StringIO(content.decode("utf-8-sig"), newline=""), skipinitialspace=True)
-        names = list(islice(table.fieldnames or (), _COLUMNS_MAX + 1))
-        kept = 0 if len(names) > _COLUMNS_MAX else MOST + 2
-        lines = [(f"{path}, line {table.line_num}", line) for line in islice(table, kept)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise LayoutError(f"{path}: cannot read the {what}: {error}") from error
-    if len(names) > _COLUMNS_MAX or len(lines) > MOST + 1:
-        raise LayoutError(f"{path}: expected at most {_COLUMNS_MAX} columns and {MOST + 1} lines, got more")
-    return set(names), lines
-
-
 class _Boards:
     """The boards of a file, taxel by taxel."""
 
     def __init__(self) -> None:
         self._taxels: dict[int, dict[int, int]] = {}
 
-    def read(self, line: dict[str, str], where: str, taxel: int) -> None:
+    def read(self, row: Row, taxel: int) -> None:
         """Put a taxel where its line says."""
-        place = _whole(line, where, "place") if "place" in line else None
-        self.add(_whole(line, where, "board"), place, where, taxel)
+        place = _whole(row, "place") if "place" in row.values else None
+        self.add(_whole(row, "board"), place, row.where, taxel)
 
     def add(self, board: int, place: int | None, where: str, taxel: int) -> None:
         """Put a taxel at a place on its board; None: after those before."""
         held = self._taxels.setdefault(board, {})
         place = len(held) if place is None else place
         if place in held:
-            raise LayoutError(f"{where}: place {place} of board {board} is named twice - {_KEY}")
+            raise LayoutError(f"{where}: place {place} of board {board} is named twice")
         held[place] = taxel
 
     def chains(self) -> list[list[int]]:
@@ -164,15 +149,28 @@ def chains_of(places: Sequence[tuple[int, int]]) -> list[list[int]]:
     return boards.chains()
 
 
-def _whole(line: dict[str, str], where: str, name: str) -> int:
+def _whole(row: Row, name: str) -> int:
     limits = f"whole numbers from 0 to {MOST}"
     try:
-        value = int(line[name])
-    except (TypeError, ValueError) as error:
-        raise LayoutError(f"{where}: expected {limits} as {name}: {error} - {_KEY}") from error
+        value = int(row.values[name])
+    except ValueError as error:
+        raise LayoutError(f"{row.where}: expected {limits} as {name}: {error}") from error
     if not 0 <= value <= MOST:
-        raise LayoutError(f"{where}: expected {limits} as {name}, got {value} - {_KEY}")
+        raise LayoutError(f"{row.where}: expected {limits} as {name}, got {value}")
     return value
+
+
+@contextlib.contextmanager
+def _at(key: str) -> Iterator[None]:
+    """Add the key of the layout that names a file to the errors of that file."""
+    try:
+        yield
+    except LayoutError as error:
+        raise LayoutError(f"{error} - {key}") from error
+
+
+def _got(names: Iterable[str]) -> str:
+    return ",".join(sorted(names))[:60] or "none"
 
 
 def check_chains(chains: Sequence[Sequence[int]], taxels: int, block_size: int, gaps: Indices) -> None:

@@ -170,5 +170,7 @@ def chosen(layout: "Layout", given: Mapping[str, Any]) -> list[str]:
         full = f"buses up to {worst_load(layout, sums):.0%} full{more}"
         if layout.taxels.is_analogue:
             full = "each needs a converter"
-        found.append(f"measurement.sums = {sums}, one for {layout.places // sums} taxels: {full}")
+        of = layout.places // sums
+        each = f"{of} taxels" if of > 1 else "each taxel, nothing is compressed"
+        found.append(f"measurement.sums = {sums}, one for {each}: {full}")
     return found

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.layout import Layout
-from skin.ranges import require_number
+from skin.ranges import listed, require_number
 from skin.zero_drift import ZeroDrift, parse_drifts
 
 #: Spring of one taxel: force in newtons = STIFFNESS_N_PER_M x compression in metres (section V).
@@ -396,7 +396,7 @@ def option_name(kind: str) -> str:
 def parse_stops(texts: Iterable[str], layout: Layout) -> tuple[Stop, ...]:
     """Return the boards of an option whose converters stop, each ``BLOCK`` or ``BLOCK:START_S``."""
     made = []
-    for text in texts:
+    for text in listed(texts):
         block, _, start_s = text.partition(":")
         try:
             number, begin_s = int(block), float(start_s or 0)
@@ -427,7 +427,7 @@ def parse_defects(kinds: Iterable[str], drifts: Iterable[str], seed: int, layout
         Only an analogue front end has defects of sums.
     """
     made = {}
-    for text in kinds:
+    for text in listed(kinds):
         name, given, amount = text.partition("=")
         kind = name.strip().replace("-", "_")
         if kind not in KINDS:

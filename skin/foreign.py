@@ -1,5 +1,6 @@
 """Messages of other devices on the buses of a skin, as the layout or a .dbc names them."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -7,7 +8,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from canskin.errors import LayoutError
-from skin.limits import TEXT_BYTES_MAX, read_file
+from skin.limits import TEXT_BYTES_MAX, read_text
 
 #: Identifiers of 11 and of 29 bits end here.
 BASE_ID_MAX: Final = 0x7FF
@@ -21,7 +22,8 @@ class ForeignMessage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """One message of another device.
 
     `period_s` is the least time from one frame to the next. A message without a period is no part of a plan; its
-    identifier counts as known, and none of the skin may have it.
+    identifier counts as known, and none of the skin may have it. One that `is_split` has none: J1939 sends its more
+    than 8 bytes in frames of other identifiers.
     """
 
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
@@ -30,7 +32,8 @@ class ForeignMessage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     length: Annotated[int, msgspec.Meta(ge=0, le=FD_ONLY_LENGTHS[-1])] = CLASSIC_MAX
     fd: bool = False
     period_s: Annotated[float, msgspec.Meta(ge=1e-4, le=86_400.0)] | None = None
-    # The .dbc that names the message; it fills this in.
+    is_split: bool = False
+    # The .dbc that names the message, and its line; it fills this in.
     origin: str | None = None
 
     @property
@@ -59,23 +62,43 @@ def _read_dbc(path: Path) -> list[dict[str, Any]]:
     from cantools.database.can import Database
 
     database = Database(strict=False)
-    text = read_file(path, LayoutError, "the messages", TEXT_BYTES_MAX).decode("cp1252", errors="replace")
+    text = read_text(path, LayoutError, "the messages", TEXT_BYTES_MAX)
     try:
         database.add_dbc_string(text)
     except Exception as error:  # of cantools, of its parser, of int
-        raise LayoutError(f"{path}: expected a .dbc: {' '.join(str(error).split())}") from error
+        words = " ".join(str(error).split())
+        found = (_line(text, rf"\d+\s+{re.escape(each)}") for each in re.findall(r"in message (\w+)", words))
+        raise LayoutError(f"{path}{next(found, '')}: expected a .dbc: {words}") from error
     return [
-        {
-            "name": each.name,
-            "origin": path.name,
-            "identifier": each.frame_id,
-            "is_extended": each.is_extended_frame,
-            "length": each.length,
-            "fd": each.is_fd,
-            **({"period_s": each.cycle_time / 1e3} if each.cycle_time else {}),
-        }
+        _message(each, path.name + _line(text, str(each.frame_id | each.is_extended_frame << 31)))
         for each in database.messages
     ]
+
+
+def _line(text: str, pattern: str) -> str:
+    """Return the line of a message in the text of a .dbc, in words."""
+    found = re.search(rf"^[ \t]*BO_\s+{pattern}\b", text, re.MULTILINE)
+    return f", line {text.count(chr(10), 0, found.start()) + 1}" if found else ""
+
+
+def _message(each: Any, origin: str) -> dict[str, Any]:
+    """Return a message of a .dbc as a table of the layout; LayoutError if no bus can have it."""
+    is_split = each.is_extended_frame and not each.is_fd and each.length > CLASSIC_MAX
+    table = {
+        "name": each.name,
+        "origin": origin,
+        "identifier": each.frame_id,
+        "is_extended": each.is_extended_frame,
+        "length": CLASSIC_MAX if is_split else each.length,
+        "fd": each.is_fd,
+        "is_split": is_split,
+        **({"period_s": each.cycle_time / 1e3} if each.cycle_time and not is_split else {}),
+    }
+    try:
+        msgspec.convert(table, ForeignMessage)
+    except msgspec.ValidationError as error:
+        raise LayoutError(f"{origin}: message '{each.name}': {error}") from error
+    return table
 
 
 def check_foreign(messages: Sequence[ForeignMessage], path: str, *, is_fd: bool) -> None:

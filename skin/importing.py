@@ -3,6 +3,7 @@
 import contextlib
 import re
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
@@ -16,8 +17,8 @@ from canskin.errors import LayoutError
 from skin.chains import chains_of, read_positions
 from skin.layout import NAME_CHARACTERS, load_layout
 from skin.layout_keys import PLACES_MAX
-from skin.limits import TEXT_BYTES_MAX, read_file
-from skin.surface import LINK_RATIO, surface_of_positions
+from skin.limits import TEXT_BYTES_MAX, read_file, read_text
+from skin.surface import LINK_RATIO, Floats, surface_of_positions
 
 #: Channels of a converter of the iCub's skin, and those of a triangle that measure temperature in place of touch.
 ICUB_CHANNELS: Final = 12
@@ -75,6 +76,8 @@ def tables_of(text: str, modules: Path | None = None) -> tuple[dict[str, Any], l
         What the file has, and was left out.
     """
     path = Path(text)
+    if modules is not None and path.suffix.lower() != ".txt":
+        raise LayoutError(f"{text}: an .ini of modules is of an iCub's position file (.txt): leave out --ini")
     if found := re.fullmatch(r"(\d+)[xX×*](\d+)", text):
         return {"taxels": dict(zip(("rows", "columns"), map(int, found.groups()), strict=True))}, []
     match path.suffix.lower():
@@ -188,7 +191,7 @@ def _modules(path: Path) -> Iterator[tuple[str, int]]:
 
 def _lines_after(path: Path, heading: str) -> Iterator[tuple[int, list[str]]]:
     """Yield number and words of the lines after a heading, without comments and empty lines."""
-    lines = read_file(path, LayoutError, "it", TEXT_BYTES_MAX).decode("utf-8", errors="replace").splitlines()
+    lines = read_text(path, LayoutError, "it", TEXT_BYTES_MAX).splitlines()
     first = next((number for number, line in enumerate(lines, 1) if line.strip() == heading), None)
     if first is None:
         raise LayoutError(f"{path}: expected a line {heading}, found none")
@@ -214,71 +217,118 @@ def read_urdf(path: Path) -> Imported:
         robot = ET.fromstring(content)  # noqa: S314  expat bounds what its entities grow to
     except ET.ParseError as error:
         raise LayoutError(f"{path}: cannot read it as URDF: {error}") from error
+    told: list[str] = []
     try:
-        parents = {
-            _named(joint, "child", "link"): joint for joint in robot.iter("joint") if joint.find("child") is not None
-        }
+        links = _Links(robot)
         _check(robot)
         of_sensors = [
-            (sensor.get("name", ""), [*_taxels(sensor, _of_link(_named(sensor, "parent", "link"), parents))])
+            (name := sensor.get("name", ""), _taxels(sensor, links.pose(_named(sensor, "parent", "link")), name, told))
             for sensor in robot.iter("sensor")
             if sensor.find("tactile") is not None
         ]
-    except (KeyError, ValueError, RecursionError) as error:
-        raise LayoutError(f"{path}: not a description with tactile sensors: {error!r}") from error
-    sensors = [(name, len(poses)) for name, poses in of_sensors if poses]
+    except ValueError as error:
+        raise LayoutError(f"{path}: not a description with tactile sensors: {error}") from error
+    sensors = [(name, len(places)) for name, places in of_sensors if len(places)]
     if not sensors:
         raise LayoutError(f"{path}: expected a <sensor> with <tactile>, found none; expand xacro files first")
-    places = [[*pose.translation, *pose.rotation.as_matrix()[:, 2]] for _, poses in of_sensors for pose in poses]
-    return Imported([[float(value) for value in place] for place in places], None, [], sensors)
+    return Imported(np.concatenate([places for _, places in of_sensors]).tolist(), None, told, sensors)
 
 
 def _check(robot: ET.Element) -> None:
-    links = {link.attrib["name"] for link in robot.iter("link")}
-    if missing := {_named(each, "parent", "link") for each in robot.iter("sensor")} - links:
-        raise KeyError(f"no link {min(missing)}")
-    taxels = sum(abs(int(each.get("rows", "0")) * int(each.get("cols", "0"))) for each in robot.iter("array"))
+    """Check the number of taxels before any of them is made."""
+    sizes = [(int(_attribute(each, "rows")), int(_attribute(each, "cols"))) for each in robot.iter("array")]
+    if any(min(size) < 1 for size in sizes):
+        raise ValueError(f"expected 1 row and column of an <array> or more, got {min(sizes, key=min)}")
+    taxels = sum(rows * columns for rows, columns in sizes)
     if taxels > PLACES_MAX:
         raise ValueError(f"expected at most {PLACES_MAX} taxels, got {taxels}")
 
 
-def _taxels(sensor: ET.Element, of_parent: RigidTransform) -> Iterator[RigidTransform]:
-    """Yield the pose of each taxel of a sensor, in the order of its data."""
+def _taxels(sensor: ET.Element, of_parent: RigidTransform, name: str, told: list[str]) -> Floats:
+    """Return place and normal of each taxel of a sensor, shape (taxels, 6), in the order of its data."""
     frame = of_parent * _pose(sensor.find("origin"))
+    found = [np.zeros((0, 6))]
     for tactile in sensor.iter("tactile"):
-        array = tactile.find("array")
+        array, taxels = tactile.find("array"), tactile.findall("taxel")
         if array is not None:
-            rows, columns = int(array.attrib["rows"]), int(array.attrib["cols"])
-            along_x, along_y = _numbers(array.get("spacing") or array.attrib["size"], 2)
-            start_x, start_y = _numbers(array.get("offset", "0 0"), 2)
-            by_column = array.get("order", "row-major") == "column-major"
-            for number in range(rows * columns):
-                row, column = divmod(number, rows)[::-1] if by_column else divmod(number, columns)
-                place_m = row * along_x - start_x, column * along_y - start_y, 0.0
-                yield frame * RigidTransform.from_translation(place_m)
-        for taxel in sorted(tactile.iter("taxel"), key=lambda each: int(each.attrib["idx"])):
-            yield frame * _pose(taxel)
+            found.append(_of_array(array, frame))
+        numbers = [int(_attribute(each, "idx")) for each in taxels]
+        if array is not None and taxels:
+            raise ValueError(f"sensor '{name}' has both <array> and <taxel>: expected one of them")
+        if wrong := [each for each, times in Counter(numbers).items() if each < 0 or times > 1]:
+            raise ValueError(f"sensor '{name}': expected each idx once, from 0 on, got {wrong[0]} as idx of <taxel>")
+        if numbers and len(numbers) <= max(numbers):
+            told.append(f"sensor '{name}' has {len(numbers)} taxels of idx up to {max(numbers)}: gaps close up")
+        if taxels:
+            poses = frame * _poses([taxels[place] for place in np.argsort(numbers)])
+            found.append(np.hstack([poses.translation, poses.rotation.as_matrix()[:, :, 2]]))
+    return np.concatenate(found)
 
 
-def _of_link(link: str, parents: dict[str, ET.Element]) -> RigidTransform:
-    """Return the pose of a link in the frame of the root link."""
-    joint = parents.get(link)
-    if joint is None:
-        return RigidTransform.identity()
-    return _of_link(_named(joint, "parent", "link"), parents) * _pose(joint.find("origin"))
+def _of_array(array: ET.Element, frame: RigidTransform) -> Floats:
+    """Return place and normal of each taxel of an ``<array>``, shape (taxels, 6)."""
+    rows, columns = int(_attribute(array, "rows")), int(_attribute(array, "cols"))
+    along_x, along_y = _numbers(array.get("spacing") or _attribute(array, "size"), 2)
+    start_x, start_y = _numbers(array.get("offset", "0 0"), 2)
+    order = array.get("order", "row-major")
+    if order not in {"row-major", "column-major"}:
+        raise ValueError(f"expected row-major or column-major as order of an <array>, got {order}")
+    row, column = np.divmod(np.arange(rows * columns), columns if order == "row-major" else rows)
+    if order == "column-major":
+        row, column = column, row
+    places = frame.apply(np.stack([row * along_x - start_x, column * along_y - start_y, 0.0 * row], axis=1))
+    return np.hstack([places, np.broadcast_to(frame.rotation.as_matrix()[:, 2], places.shape)])
+
+
+class _Links:
+    """The links of a robot in the frame of its root link, joints at zero."""
+
+    def __init__(self, robot: ET.Element) -> None:
+        joints = [each for each in robot.iter("joint") if each.find("child") is not None]
+        self._joints = {_named(joint, "child", "link"): joint for joint in joints}
+        if len(self._joints) < len(joints):
+            twice = Counter(_named(joint, "child", "link") for joint in joints).most_common(1)[0][0]
+            raise ValueError(f"link '{twice}' is the child of two joints: expected one")
+        links = {_attribute(link, "name") for link in robot.iter("link")}
+        named = {_named(each, "parent", "link") for each in (*joints, *robot.iter("sensor"))}
+        if missing := (named | self._joints.keys()) - links:
+            raise ValueError(f"no link '{min(missing)}'")
+        self._poses: dict[str, RigidTransform] = {}
+
+    def pose(self, link: str) -> RigidTransform:
+        """Return the pose of a link."""
+        way: list[tuple[str, ET.Element]] = []
+        while link not in self._poses and link in self._joints:
+            way.append((link, self._joints[link]))
+            link = _named(self._joints[link], "parent", "link")
+            if len(way) > len(self._joints):
+                raise ValueError(f"the joints of link '{link}' are a loop: expected a tree")
+        pose = self._poses.get(link, RigidTransform.identity())
+        for link, joint in reversed(way):
+            pose = self._poses[link] = pose * _pose(joint.find("origin"))
+        return pose
 
 
 def _pose(origin: ET.Element | None) -> RigidTransform:
-    given = {} if origin is None else origin.attrib
-    turn = Rotation.from_euler("xyz", _numbers(given.get("rpy", "0 0 0"), 3))
-    return RigidTransform.from_components(_numbers(given.get("xyz", "0 0 0"), 3), turn)
+    return RigidTransform.identity() if origin is None else _poses([origin])[0]
+
+
+def _poses(origins: Sequence[ET.Element]) -> RigidTransform:
+    turns, places = ([_numbers(each.get(key, "0 0 0"), 3) for each in origins] for key in ("rpy", "xyz"))
+    return RigidTransform.from_components(places, Rotation.from_euler("xyz", turns))
 
 
 def _named(element: ET.Element, tag: str, attribute: str) -> str:
     found = element.find(tag)
     if found is None:
-        raise KeyError(f"<{element.tag}> without <{tag}>")
-    return found.attrib[attribute]
+        raise ValueError(f"<{element.tag}> without <{tag}>")
+    return _attribute(found, attribute)
+
+
+def _attribute(element: ET.Element, name: str) -> str:
+    if name not in element.attrib:
+        raise ValueError(f"<{element.tag}> without '{name}'")
+    return element.attrib[name]
 
 
 def _numbers(text: str, count: int) -> list[float]:

@@ -81,6 +81,8 @@ SHIPPED: Final = tuple(
     sorted(Path(each.name).stem for each in files("skin.layouts").iterdir() if each.name.endswith(".toml"))
 )
 
+#: Suffixes of files of taxels, of which `skin.importing` makes layouts.
+TAXEL_FILES: Final = (".csv", ".txt", ".urdf")
 #: Fewest places of a block of a board that exists, if `block_size` is not given; else the power of two that holds it.
 BOARD_MIN: Final = 8
 #: Default: the smallest number of buses with at most this number of nodes, each of one block, and identifiers for all.
@@ -102,6 +104,8 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
         return _read_attached(path), name, path.parent
     if not path.suffix and not path.exists():
         raise LayoutError(f"{path}: no such file, and no layout of canskin: expected {', '.join(SHIPPED)}, or a file")
+    if path.suffix.lower() in TAXEL_FILES and path.is_file():
+        raise LayoutError(f"{path}: is a file of taxels: make a layout of it with 'skin layout new {path} --out FILE'")
     return read_file(path, LayoutError, "the layout"), name, path.parent
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, LayoutError
-from skin.chains import MOST, order_of
+from skin.chains import order_of
 from skin.foreign import ForeignMessage
 from skin.matrix import MatrixPhi, entries_of
 from skin.phi import Sbhe, of_rows, sbhe
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
+from skin.text_tables import MOST
 from skin.walsh import Indices, patches
 from skin.ways_of_sending import SENDINGS, Sending, SendingName
 

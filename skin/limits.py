@@ -4,6 +4,7 @@ A small file can claim, or unpack to, thousands of times its size. With these li
 at most. Those of recordings are in `recording.mcap_file`, those of logs in `bandwidth.logs`.
 """
 
+import codecs
 import re
 import zipfile
 from itertools import islice
@@ -60,9 +61,25 @@ def read_file(path: Path, kind: type[SkinError], what: str, most: int = FILE_BYT
     return content
 
 
+def read_text(path: Path, kind: type[SkinError], what: str, most: int = FILE_BYTES_MAX) -> str:
+    """Return the text of a file, see `text_of`; raise `kind` as `read_file` does."""
+    return text_of(read_file(path, kind, what, most))
+
+
+def text_of(content: bytes) -> str:
+    """Return the text of a file: UTF-8 or, with a byte-order mark, UTF-16; else Windows-1252, as of old programs."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16", errors="replace")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
 def decode_toml(content: bytes, origin: str) -> dict[str, Any]:
     """Return the tables of a layout; raise LayoutError if it is no TOML, or beyond a limit."""
     check_bytes(len(content), LayoutError, origin)
+    content = text_of(content).encode()
     for most, pattern, words in _TOML:
         if next(islice(pattern.finditer(content), most, None), None):
             raise LayoutError(f"{origin}: expected {words}, got more")

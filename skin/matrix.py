@@ -5,10 +5,8 @@ after the last: cycle c, from 1, has matrix (c - 1) mod frames.
 """
 
 import hashlib
-import warnings
 from collections.abc import Sequence
 from functools import cached_property
-from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, LayoutError
-from skin.limits import check_unpacked, read_file
+from skin.limits import check_unpacked
 from skin.operator import check_vectors
 from skin.phi import Phi
+from skin.text_tables import read_numbers
 
 Entries = npt.NDArray[np.int8]
 
@@ -167,7 +166,9 @@ def read_matrix(path: Path) -> list[list[str]]:
         If the file cannot be read, lacks the array, or holds other values.
     """
     try:
-        return signs_of(checked_entries(_read_npz(path) if path.suffix.lower() == ".npz" else _read_csv(path), path))
+        is_packed = path.suffix.lower() == ".npz"
+        entries = _read_npz(path) if is_packed else read_numbers(path, InputError, "the matrix")
+        return signs_of(checked_entries(entries, path))
     except InputError as error:
         raise LayoutError(f"{error} - {KEY}") from error
 
@@ -186,17 +187,6 @@ def _read_npz(path: Path) -> npt.NDArray[Any]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: cannot read the matrix: expected an .npz of numbers: {reason}") from error
     raise InputError(f"{path}: expected the array '{PHI}', got {', '.join(names) or 'none'}")
-
-
-def _read_csv(path: Path) -> npt.NDArray[Any]:
-    text = read_file(path, InputError, "the matrix").decode("utf-8-sig", errors="replace")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # what NumPy says of a file without lines
-            return np.loadtxt(StringIO(text), delimiter=",", ndmin=2)
-    except (ValueError, UserWarning) as error:
-        expected = "expected a CSV with a line for each sum, a value for each taxel, or an .npz"
-        raise InputError(f"{path}: cannot read the matrix: {expected}: {error}") from error
 
 
 def checked_entries(entries: Any, where: object) -> Entries:

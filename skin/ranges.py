@@ -1,10 +1,22 @@
-"""Ranges of numbers: as text, and checked."""
+"""Lists of texts, and ranges of numbers: as text, and checked."""
 
 import math
+import re
 from collections.abc import Iterable
 from itertools import groupby
 
 from canskin.errors import InputError
+
+
+def listed(texts: Iterable[str]) -> list[str]:
+    """Return the texts of a list option, which the user may separate by spaces or commas.
+
+    Examples
+    --------
+    >>> listed(["p0:3,p0:5", "patch2@3,4:step:0.001,whole:step:0.001"])
+    ['p0:3', 'p0:5', 'patch2@3,4:step:0.001', 'whole:step:0.001']
+    """
+    return [each.strip() for text in texts for each in re.findall(r"(?:@\d+,|[^,])+", text) or [text]]
 
 
 def ranges_text(numbers: Iterable[int]) -> str:

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.layout import Layout, Taxels
+from skin.ranges import listed
 
 #: Groups of entry points.
 SOURCES: Final = "canskin.sources"
@@ -131,15 +132,12 @@ def _sheltered(force_n: npt.NDArray[np.float32], layout: Layout) -> npt.NDArray[
 def object_names(given: Iterable[str]) -> tuple[str, ...]:
     """Return names of objects, each once, with the objects of `OBJECT_GROUPS` in place of the name of a group.
 
-    The user may separate the names of a list option by spaces or commas.
-
     Examples
     --------
     >>> object_names(["ring,cup", "ring"])
     ('ring', 'cup')
     """
-    split = (name.strip() for each in given for name in each.split(",") if name.strip())
-    return tuple(dict.fromkeys(name for each in split for name in OBJECT_GROUPS.get(each, (each,))))
+    return tuple(dict.fromkeys(name for each in listed(given) if each for name in OBJECT_GROUPS.get(each, (each,))))
 
 
 def object_file(name: str) -> Path | None:

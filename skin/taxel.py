@@ -10,7 +10,6 @@ The words are stages of `skin.defects.Stage`.
 The paper adds normal noise of 1 mN and clips to 0 to 20 mN (section V): this is `sense`.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -250,6 +249,6 @@ def _with_chosen(values_n: Force, effects: list[tuple[npt.NDArray[np.intp], Any]
 
 def _check(noise_n: float | Force, force_max_n: float) -> None:
     smallest, largest = (noise_n, noise_n) if isinstance(noise_n, float) else (np.min(noise_n), np.max(noise_n))
-    if not (smallest >= 0 and math.isfinite(largest)):
-        raise InputError(f"noise_n needs numbers of 0 or more: got {noise_n}")
     require_above_zero("force_max_n", force_max_n)
+    if not 0 <= smallest <= largest <= force_max_n:
+        raise InputError(f"noise_n needs numbers from 0 to {force_max_n:g}, the range of a taxel: got {noise_n}")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.layout import Layout
-from skin.ranges import require_number
+from skin.ranges import listed, require_number
 
 Force = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
@@ -108,7 +108,7 @@ def parse_drifts(
     """
     of_taxels: list[ZeroDrift] = []
     of_sums: list[ZeroDrift] = []
-    for number, text in enumerate(texts):
+    for number, text in enumerate(listed(texts)):
         try:
             is_of_sums, drift = _parsed(text, (seed, number), layout)
         except InputError as error:
@@ -129,6 +129,9 @@ def _parsed(text: str, seed: tuple[int, int], layout: Layout) -> tuple[bool, Zer
         raise InputError(f"expected numbers after {rest[0]}, got '{':'.join(rest[1:])}'") from None
     when: dict[str, Any] = dict(zip(("start_s", "duration_s"), times_s, strict=False))
     when |= {"course": rest[0], "amount_n": amount_n}
+    force_max_n = layout.taxels.force_max_n
+    if abs(amount_n) > force_max_n:
+        raise InputError(f"expected an amount of at most {force_max_n:g} N, the range of a taxel, got {amount_n:g}")
     if found["name"]:
         return False, ZeroDrift(**when | {"place": found["name"]})
     if found["side"]:

@@ -24,6 +24,7 @@ from skin.chains import read_chains, read_positions
 from skin.importing import read_icub, read_urdf
 from skin.layout import parse_layout
 from skin.matrix import read_matrix
+from tests.bandwidth.log_corpus import CORPUS
 from tests.descriptions import URDF, icub
 from tests.health.helpers import Messages
 from tests.layouts import layout_toml, small_contract, small_layout
@@ -77,6 +78,8 @@ def written(folder: Path) -> dict[str, tuple[Path, Callable[[Path], Any]]]:
         with can.Logger(folder / f"log.{suffix}") as logger:
             for each in log:
                 logger(each)
+    for name, content in CORPUS.items():
+        (folder / name).write_bytes(content)
     for suffix in ("stl", "ply", "obj", "off"):
         trimesh.creation.icosphere(3, 10.0).export(folder / f"ball.{suffix}")
     np.savez(folder / "counts.npz", image=np.zeros((2, 8, 8)))
@@ -93,6 +96,7 @@ def written(folder: Path) -> dict[str, tuple[Path, Callable[[Path], Any]]]:
     pose = MeshPose(stems=("ball",), turns=(), unit="mm")
     read: dict[str, Callable[[Path], Any]] = {
         **{f"log.{each}": partial(read_log, warn=lambda _: None) for each in ("log", "asc", "blf", "trc", "csv", "db")},
+        **{each: partial(read_log, warn=lambda _: None) for each in CORPUS},
         **{f"ball.{each}": partial(load_mesh, pose=pose) for each in ("stl", "ply", "obj", "off")},
         "counts.npz": partial(read_counts, arrays=None),
         "counts.npy": partial(read_counts, arrays=None),
@@ -109,6 +113,7 @@ def written(folder: Path) -> dict[str, tuple[Path, Callable[[Path], Any]]]:
 
 KINDS = (
     *(f"log.{each}" for each in ("log", "asc", "blf", "trc", "csv", "db")),
+    *CORPUS,
     *(f"ball.{each}" for each in ("stl", "ply", "obj", "off")),
     "counts.npz", "counts.npy", "phi.csv", "phi.npz", "hand.urdf", "places.csv", "chains.csv", "arm.txt", "run.mcap",
 )  # fmt: skip

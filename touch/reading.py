@@ -1,5 +1,6 @@
 """Reading a recording's arrays from a file: ``.npz``, ``.npy`` or ``.mcap``, never a pickle."""
 
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -30,7 +31,7 @@ def read_counts(path: Path, arrays: Sequence[str] | None) -> tuple[Counts, ...]:
     path : pathlib.Path
         ``.npz`` (named arrays) or ``.npy`` (one); ``.mcap`` of ``skin record``: the arrays `IN_MCAP`, in newtons.
     arrays : sequence of str, optional
-        Arrays of an ``.npz`` or ``.mcap``, in this order; default: the first array in the file.
+        Arrays of an ``.npz`` or ``.mcap``, in this order; default: the first array in the file of three axes.
     """
     if not path.is_file():
         raise InputError(f"no recording at '{path}': expected a .npz, .npy or .mcap file")
@@ -58,7 +59,7 @@ def read_counts(path: Path, arrays: Sequence[str] | None) -> tuple[Counts, ...]:
 
 
 def array_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an ``.npz`` or ``.mcap``, in file order; for other files no names."""
+    """Return the names of the arrays of three axes in an ``.npz`` or ``.mcap``, in file order; of other files none."""
     if is_recording(path):
         from recording.mcap_file import read_topics
 
@@ -69,8 +70,7 @@ def array_names(path: Path) -> tuple[str, ...]:
     try:
         with path.open("rb") as file:
             check_unpacked(file, f"'{path}'")
-            with np.load(file, allow_pickle=False) as loaded:
-                return tuple(loaded.files)
+            return tuple(name for name, shape in _shapes(file).items() if len(shape) == 3)
     except InputError:
         raise
     except Exception as error:  # see `read_counts`
@@ -113,13 +113,31 @@ def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict
         found = list(loaded.files)
         if not found:
             raise InputError(f"'{path}' holds no array: expected one of shape (time, rows, columns)")
-        wanted = found[:1] if arrays is None else list(arrays)
+        wanted = list(arrays or ())
+        if arrays is None:
+            shapes = _shapes(file)
+            wanted = [name for name, shape in shapes.items() if len(shape) == 3][:1]
+            if not wanted:
+                got = ", ".join(f"'{name}' of shape {shape}" for name, shape in shapes.items())
+                raise InputError(f"'{path}' holds {got}: expected (time, rows, columns) of an array")
         if not wanted:
             raise InputError(f"no array named: '{path}' holds {', '.join(found)}")
         for name in wanted:
             if name not in found:
                 raise InputError(f"'{path}' has no array '{name}': expected one of {', '.join(found)}")
         return {name: np.asarray(loaded[name]) for name in wanted}
+
+
+def _shapes(file: BinaryIO) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of an ``.npz`` without reading its values; of a table with names none."""
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    found: dict[str, tuple[int, ...]] = {}
+    with zipfile.ZipFile(file) as archive:
+        for name in archive.namelist():
+            with archive.open(name) as member:
+                header = headers.get(np.lib.format.read_magic(member)) if name.endswith(".npy") else None
+                found[name.removesuffix(".npy")] = header(member)[0] if header else ()
+    return found
 
 
 def _check(what: str, counts: Counts) -> None:

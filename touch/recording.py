@@ -83,6 +83,12 @@ class Recording:
             column += wide
         return Frame(force_n, "")
 
+    @property
+    def rest_n(self) -> float:
+        """Force at which most taxels are most of the time, newtons; 0 where no such rest stands out."""
+        low, middle = np.quantile(np.concatenate([each.ravel() for each in self._arrays]), (0.25, 0.5))
+        return float(self._newtons(middle)) if low > 0.75 * middle else 0.0
+
     def _newtons(self, counts: Counts) -> npt.NDArray[np.float64]:
         return counts.astype(np.float64) / self.full_scale * self.force_max_n
 

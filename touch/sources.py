@@ -9,7 +9,7 @@ import numpy as np
 from canskin.errors import InputError
 from recording import is_recording
 from shell.service import say
-from skin.ranges import require_above_zero, require_number
+from skin.ranges import listed, require_above_zero, require_number
 from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
 from skin.surface import Surface
 from skin.taxel import FORCE_MAX_N
@@ -22,6 +22,8 @@ from touch.strokes import LABEL_FORCE_N, LIVE, PAUSE_S, SLOT_S, Touch, draw_touc
 
 #: Most other arrays of a file that the log names.
 NAMED: Final = 8
+#: Part of the largest force above which the rest of a recording is told.
+HIGH_REST: Final = 0.25
 #: Objects are pressed at about this rate; at the steps of a higher rate forces are interpolated.
 POSES_HZ: Final = 100.0
 
@@ -187,7 +189,7 @@ def recording(
         raise InputError(
             f"a recording's rate (--rate) needs a number above 0, and the skin's: got {frame_rate_hz}, {rate_hz}"
         )
-    named = tuple(part.strip() for part in arrays.split(",")) if isinstance(arrays, str) else arrays
+    named = tuple(listed([arrays])) if isinstance(arrays, str) else arrays
     counts = read_counts(Path(path), named)
     if named is None:
         _tell_others(Path(path))
@@ -208,6 +210,12 @@ def recording(
             f"{high} x {wide} taxels of {Path(path).name} lie in the middle of a skin of {rows} x {columns}:"
             f" the taxels around them feel nothing",
         )
+    if (rest := played.rest_n) > HIGH_REST * force_max_n:
+        say(
+            "recording",
+            f"{Path(path).name} is high at rest: half of its values are played as {1e3 * rest:.3g} mN or more, of"
+            f" {1e3 * force_max_n:.3g} mN. A sensor that reads high at rest plays its rest as force: take the rest off",
+        )
     return played
 
 
@@ -217,7 +225,7 @@ def _tell_others(path: Path) -> None:
     if others:
         more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
         also = f"{', '.join(others[:NAMED])}{more}"
-        say("recording", f"plays the first array of {path.name}, {first}; choose with --array, there is also {also}")
+        say("recording", f"plays the array {first} of {path.name}; choose with --array, there is also {also}")
 
 
 def _fixed(force_n: Force) -> Force:

@@ -218,7 +218,7 @@ def test_a_new_layout_is_what_its_file_says(skin: Verb, tmp_path: Path) -> None:
     assert (layout.measurement.sums, layout.sampling.rate_hz) == (48, 1000.0)
     code, _, said = skin("layout", "new", str(tmp_path / "pad.csv"), "--out", str(tmp_path / "pad.toml"))
     assert code == 0
-    assert "measurement.sums = 48, one for 1 taxels" in said
+    assert "measurement.sums = 48, one for each taxel, nothing is compressed" in said
     assert load_layout(tmp_path / "pad.toml").taxels == layout.taxels
     code, _, said = skin("plan", "--taxels", "1024", "--out", str(made))
     assert code == 2

@@ -109,7 +109,7 @@ def test_up_to_four_late_nodes_have_a_line_each() -> None:
 
 def test_what_is_not_planned_has_its_share_of_the_bus() -> None:
     """Ten frames without data, of about 50 bits, in 10 s of 1 Mbit/s: 50 µs of each second."""
-    rows = [(0.0, 0x80, 1), *((10.0 * turn, 0x7F2, 0) for turn in range(10)), (10_000.0, 0x80, 1)]
+    rows = [(0.0, 0x80, 1), *((1000.0 * turn, 0x7F2, 0) for turn in range(10)), (10_000.0, 0x80, 1)]
     rows += [(20.0, 0x082, 8), (21.0, 0x082, 8)]
     seen = made(sorted(rows))
     planned = plan_bus(SKIN, 0, None, Disturbance())

@@ -256,6 +256,21 @@ def test_cycles_go_from_the_first_sync_until_before_the_last() -> None:
     assert whole_cycles(seen)[0]["can_id"].tolist() == [0x181, 0x182, 0x80, 0x183]
 
 
+@pytest.mark.parametrize("after_s", [3.0, 3600.0, 1e9])
+def test_a_silence_is_no_time_of_a_load(contract: Contract, planned: BusPlan, healthy: Frames, after_s: float) -> None:
+    later = healthy[: len(healthy) // 3].copy()
+    later["time_ns"] += int(healthy["time_ns"][-1]) + round(after_s * 1e9)
+    seen = np.concatenate((healthy, later))
+    load = measure(contract, 1, seen, planned)
+    assert load.load_exact == measure(contract, 1, healthy, planned).load_exact
+    (line,) = misfits(contract, 1, seen, load)
+    assert line.startswith("bus1: the loads are those of 2.0 s of ")
+
+
+def test_a_bus_with_few_frames_is_not_silent() -> None:
+    assert len(whole_cycles(made(*((0x181, 3000.0 * place) for place in range(10))))[0]) == 9
+
+
 def test_loads_are_bits_of_the_bit_rate(contract: Contract, planned: BusPlan) -> None:
     """8 bytes: 111 bits, at most 24 stuff bits; SYNC: 55 bits and a few; in 10 ms of 1 Mbit/s."""
     load = measure(contract, 1, made((0x80, 0), (0x181, 1), (0x181, 2), (0x80, 10)), planned)

@@ -54,6 +54,13 @@ def test_as_many_sums_are_sent_as_the_buses_carry() -> None:
     assert found.chosen.load_worst == pytest.approx(0.693, abs=0.001)
 
 
+def test_the_time_within_which_boards_have_to_answer_is_named_where_it_makes_a_skin_fit() -> None:
+    required = Requirement(64, 1000, buses=1, can="fd", sending="synchronous")
+    missing = search(required).missing() or ""
+    assert missing.endswith("and here with boards that answer within 0.7 ms (--jitter-s 0.0007)")
+    assert search(required, Disturbance(jitter_s=0.0007)).layout is not None
+
+
 @pytest.mark.heavy
 def test_stepped_sums_are_chosen_where_synchronous_sums_do_not_fit_or_when_asked_for() -> None:
     found = search(Requirement(256, 900, buses=1, can="classic"))

@@ -27,6 +27,7 @@ def layout_of(*names: str) -> Layout:
         (["can9"], ["can9", "can10"]),
         (["a1b2"], ["a1b2", "a1b3"]),
         (["can3", "can1"], ["can3", "can1"]),
+        (["can3,can1"], ["can3", "can1"]),
     ],
 )
 def test_every_bus_has_a_channel(given: list[str], expected: list[str]) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from dbc import indices as od
 from dbc.configuration import Setting, configuration, expected_signature, proof_period_s, signature
 from dbc.contract import Contract
 from skin.layout import load_layout
@@ -39,23 +40,15 @@ def test_signatures_of_all_nodes_of_a_bus_differ() -> None:
     assert len({expected_signature(configuration(contract, node)) for node in nodes}) == len(nodes)
 
 
-def setting(data: bytes, *, is_text: bool = False) -> Setting:
-    return Setting(0x1A00, 3, "TPDO mapping", data, is_text=is_text, is_writable=True)
-
-
-def test_leading_zeros_of_numbers_do_not_matter_and_texts_are_compared_byte_by_byte() -> None:
-    assert setting(b"\x10\x27").matches(b"\x10\x27\0\0")
-    assert setting(b"\x10\x27\0\0").matches(b"\x10\x27")
-    assert not setting(b"\x10\x27").matches(b"\x27\x10")
-    assert setting(b"abcd", is_text=True).matches(b"abcd")
-    assert not setting(b"abcd", is_text=True).matches(b"abcd\0")
+def setting(data: bytes, data_type: int = od.UNSIGNED32) -> Setting:
+    return Setting(0x1A00, 3, "TPDO mapping", data, data_type, is_writable=True)
 
 
 def test_values_are_shown_as_people_write_them() -> None:
     assert str(setting(b"\x10")) == "1A00h:3 (TPDO mapping)"
     assert setting(b"\x10\x27").text() == "2710h"
     assert setting(b"\x10\x27").text(b"\xab\0") == "ABh"
-    assert setting(b"abcd", is_text=True).text(b"ab\xff") == "ab\ufffd"
+    assert setting(b"abcd", od.VISIBLE_STRING).text(b"ab\xff") == "ab\ufffd"
 
 
 @pytest.mark.parametrize(("bitrate", "period_s"), [(1_000_000, 2.0), (500_000, 3.456), (250_000, 6.912)])

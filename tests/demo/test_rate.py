@@ -27,7 +27,9 @@ def test_cycles_since_the_start_has_settled_judge_the_rate(complete: int, kept: 
     judge = RateJudge()
     assert judge.keeps(status(50, 0), SETTLED_S / 2)
     assert judge.keeps(status(100, 100), SETTLED_S)
+    assert not judge.is_judged
     assert judge.keeps(status(300, complete), JUDGED_S) == kept
+    assert judge.is_judged
     assert judge.keeps(status(300, 0), JUDGED_S)  # once
     assert RateJudge(is_given=True).keeps(status(300, 0), JUDGED_S)
     assert SETTLED_S < JUDGED_S < LEAST_RUN_S

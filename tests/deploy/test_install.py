@@ -11,7 +11,7 @@ import pytest
 
 from canskin.errors import InputError
 from canskin.keys import Keys
-from deploy.configuration import ROLES, write
+from deploy.configuration import ROLES, Adapter, write
 from hub.keys_command import new
 from skin.layout import load_layout
 from tests.deploy.conftest import ROOT, Install
@@ -129,6 +129,17 @@ def test_a_wrong_call_is_one_line_and_installs_nothing(
 
 
 @pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("skin0=0042A7:1", 'ATTRS{serial}=="0042A7", ATTR{dev_id}=="0x1", NAME="skin0"'),
+        ("skin1=@1-2.3", 'KERNELS=="1-2.3", ATTR{dev_id}=="0x0", NAME="skin1"'),
+    ],
+)
+def test_an_adapter_is_known_by_its_serial_number_or_its_port(text: str, rule: str) -> None:
+    assert Adapter.from_text(text).rule.endswith(f"{rule}\n")
+
+
+@pytest.mark.parametrize(
     ("words", "means"),
     [
         (["--interface", "can0", "can1"], "expected 4 channels"),
@@ -137,6 +148,7 @@ def test_a_wrong_call_is_one_line_and_installs_nothing(
         (["--interface", "can0", "--adapter", "skin0=0042A7"], "can0, can1, can2, can3"),
         (["--interface", "can/0"], "without space"),
         (["--interface", "skin0", "--adapter", "skin0=0042A7", "skin0=0042A8"], "each channel once, got skin0"),
+        (["--interface", "skin0", "--adapter", "skin0=0042A7", "skin1=0042A7"], "equal serial numbers, or none, need"),
         (
             ["--interface", "can0", "--programs", "/usr/bin/python3", "/root/venv/"],
             "/root/venv/: .* a Python of the system",

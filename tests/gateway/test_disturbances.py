@@ -23,7 +23,7 @@ PLACES = sorted(
         (each.index, each.subindex, len(each.data))
         for node in SMALL.nodes
         for each in configuration(SMALL, node)
-        if not each.is_text
+        if each.data_type != od.VISIBLE_STRING
     }
 )
 VALUES = sorted({each.data for node in SMALL.nodes for each in configuration(SMALL, node) if len(each.data) <= 4})

@@ -556,7 +556,7 @@ def test_commands_of_another_master(command: int, said: str) -> None:
 
 
 def errand() -> Generator[Transfer, bytes, bytes]:
-    return (yield Read(0x2035))
+    return (yield Read(0x2035, 0, 0x08))
 
 
 def test_a_node_has_one_errand_at_a_time(skin: Boards) -> None:

@@ -136,3 +136,13 @@ def test_the_last_cycle_is_measured_also_when_a_frame_is_missing(
     assert len(made) == len(expected)
     assert [each.sums for each in made[:-1]] == [each.sums for each in expected[:-1]]
     assert made[-1].valid.count(b"\0") == 1
+
+
+@pytest.mark.parametrize("fall_s", [0.05, 0.5, 1e6])
+def test_times_of_measurements_never_fall(contract: Contract, bus_frames: dict[int, Frames], fall_s: float) -> None:
+    logged = {bus: seen.copy() for bus, seen in bus_frames.items()}
+    for seen in logged.values():
+        seen["time_ns"][len(seen) // 2 :] -= round(fall_s * 1e9)
+    at_ns = np.array([each.sampled_mono_ns for part in play(contract, logged) for each in part.measurements])
+    assert len(at_ns) > 1
+    assert (np.diff(at_ns) >= 0).all()

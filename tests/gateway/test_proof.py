@@ -303,8 +303,8 @@ def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> No
     node, doubts = small.nodes[0], []
     known = Known(calibration(small, node))
     steps = prove(configuration(small, node), 0x1234, known, write=True, in_use=True, doubt=doubts.append)
-    assert next(steps) == Read(od.CALIBRATION_SIGNATURE)
-    assert steps.send(little(7)) == Read(od.SIGNATURE)
+    assert next(steps) == Read(od.CALIBRATION_SIGNATURE, 0, od.UNSIGNED32)
+    assert steps.send(little(7)) == Read(od.SIGNATURE, 0, od.UNSIGNED32)
     read = steps.send(little(0))  # it computes no signature
     assert not doubts
     with pytest.raises(StopIteration) as ended:
@@ -326,3 +326,21 @@ def test_another_device_is_named_as_such_though_it_has_no_other_object() -> None
             proof = end.value
     assert proof.is_other_device
     assert "1018h:1" in proof.refusal
+
+
+def test_a_board_of_another_bus_is_named_where_it_belongs() -> None:
+    """So it is where two interfaces are swapped."""
+    contract = small_contract()
+    (mine, *_), (other, *_) = contract.on_bus(0), contract.on_bus(1)
+    values = {(each.index, each.subindex): each.data for each in configuration(contract, other)}
+    steps = prove(configuration(contract, mine), 0, Known(()), write=True, in_use=False, doubt=lambda _: None)
+    transfer, proof = next(steps), None
+    while proof is None:
+        try:
+            transfer = steps.send(values.get((transfer.index, transfer.subindex), little(5)))
+        except StopIteration as end:
+            proof = end.value
+    assert proof.told(contract).startswith(
+        "it is the board of bus1 node 1: are interfaces or boards swapped? 2000h:0 ("
+    )
+    assert not proof.is_other_device

@@ -5,6 +5,7 @@ from itertools import cycle
 
 import pytest
 
+from dbc import indices as od
 from gateway.sdo import (
     ATTEMPTS,
     MOST_LOST,
@@ -18,16 +19,19 @@ from gateway.sdo import (
     one,
 )
 
+#: A type whose values are not looked at.
+RAW = od.DOMAIN
+
 
 def both() -> Generator[Transfer, bytes, bytes]:
-    return (yield Read(0x2000)) + (yield Read(0x2001, 2))
+    return (yield Read(0x2000, 0, RAW)) + (yield Read(0x2001, 2, RAW))
 
 
 def either() -> Generator[Transfer, bytes, bytes]:
     try:
-        return (yield Read(0x2006))
+        return (yield Read(0x2006, 0, RAW))
     except SdoAbortedError:
-        return (yield Read(0x2000))
+        return (yield Read(0x2000, 0, RAW))
 
 
 ASKED, GIVEN_UP = "> 4017100000000000", "> 8017100000000405"
@@ -41,7 +45,11 @@ FROM_SEGMENTS = [each for pair in zip(SEGMENTS, ASKED_SEGMENTS, strict=True) for
 #: value, "!" the error. Between "<" or "@" and the next line nothing else goes out.
 COURSES: dict[str, tuple[object, int, list[str]]] = {
     **{
-        f"a value in one frame, {answer[:2]}": (Read(0x1017), ATTEMPTS, [ASKED, f"< {answer}", f"= {value}"])
+        f"a value in one frame, {answer[:2]}": (
+            Read(0x1017, 0, RAW),
+            ATTEMPTS,
+            [ASKED, f"< {answer}", f"= {value}"],
+        )
         for answer, value in (
             ("4f17100005000000", "05"),
             ("4b171000e8030000", "e803"),
@@ -59,7 +67,7 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         for value, sent in (("01", "2f17100001000000"), ("0102", "2b17100001020000"), ("01020304", "2317100001020304"))
     },
     "a value in segments; a segment that comes again has had its turn": (
-        Read(0x2002),
+        Read(0x2002, 0, RAW),
         ATTEMPTS,
         [
             *("> 4002200000000000", "< 410220000a000000", "> 6000000000000000", "< 0061626364656667"),
@@ -67,7 +75,7 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         ],
     ),
     "answers to others, and of another length": (
-        Read(0x1017),
+        Read(0x1017, 0, RAW),
         ATTEMPTS,
         [
             *(ASKED, "< 4f18100005000000", "< 4f17100105000000", "< 6017100000000000", "< 0012345678901234"),
@@ -75,28 +83,32 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         ],
     ),
     "an abort of the object": (
-        Read(0x1018, 4),
+        Read(0x1018, 4, RAW),
         ATTEMPTS,
         ["> 4018100400000000", "< 8018100411000906", "! object 1018h:4: abort 06090011h, no subindex"],
     ),
     "codes from 0600 0000h on are of the object": (
-        Read(0x1017),
+        Read(0x1017, 0, RAW),
         ATTEMPTS,
         [ASKED, "< 8017100000000006", "! object 1017h:0: abort 06000000h"],
     ),
-    "the last code": (Read(0x1017), ATTEMPTS, [ASKED, "< 80171000ffffffff", "! object 1017h:0: abort FFFFFFFFh"]),
+    "the last code": (
+        Read(0x1017, 0, RAW),
+        ATTEMPTS,
+        [ASKED, "< 80171000ffffffff", "! object 1017h:0: abort FFFFFFFFh"],
+    ),
     "an abort that names no object is of the open transfer": (
         Write(0x1017, 0, b"\1"),
         ATTEMPTS,
         ["> 2f17100001000000", "< 8000000022000008", "! object 1017h:0: abort 08000022h, state"],
     ),
     "an abort of the transfer begins it again": (
-        Read(0x1017),
+        Read(0x1017, 0, RAW),
         ATTEMPTS,
         [ASKED, "< 8000000000000305", ASKED, "< 4f17100005000000", "= 05"],
     ),
     "silence is asked again, 0.3 s each": (
-        Read(0x1017),
+        Read(0x1017, 0, RAW),
         ATTEMPTS,
         [
             *(ASKED, "@ 0.299", "@ 0.3", GIVEN_UP, ASKED, "@ 0.599", "@ 0.6", GIVEN_UP, ASKED, "@ 0.9", GIVEN_UP),
@@ -104,14 +116,54 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         ],
     ),
     "one attempt ends at the first silence": (
-        Read(0x1017),
+        Read(0x1017, 0, RAW),
         1,
         [ASKED, "@ 0.3", GIVEN_UP, "! no answer to object 1017h:0"],
     ),
     "one attempt ends at the first abort of the transfer": (
-        Read(0x1017),
+        Read(0x1017, 0, RAW),
         1,
-        [ASKED, "< 8017100001000405", "! no answer to object 1017h:0"],
+        [ASKED, "< 8017100001000405", "! no answer to object 1017h:0 but abort 05040001h, command"],
+    ),
+    **{
+        f"what came instead of an answer is named, {came}": (
+            Read(0x1017, 0, RAW),
+            1,
+            [ASKED, f"< {came}", "@ 0.3", GIVEN_UP, f"! no answer to object 1017h:0 but {came.upper()}, {why}"],
+        )
+        for came, why in (
+            ("4f18100205000000", "which is of object 1018h:2"),
+            ("8018100211000906", "which is of object 1018h:2"),
+            ("6017100000000000", "which answers another request"),
+            ("0017100000000000", "which answers another request"),
+            ("4b1710", "which has 3 bytes, not 8"),
+        )
+    },
+    "a segment with the wrong toggle bit is named, an earlier frame is not": (
+        Read(0x1017, 0, RAW),
+        1,
+        [
+            *(ASKED, "< 4f18100005000000", "< 4117100008000000", f"> 60{ZEROS}", f"< 10{ZEROS}", "@ 0.3", GIVEN_UP),
+            f"! no answer to object 1017h:0 but 10{ZEROS.strip()}, which has the wrong toggle bit",
+        ],
+    ),
+    "an answer is decoded by its type": (
+        Read(0x1017, 0, od.UNSIGNED16),
+        ATTEMPTS,
+        [ASKED, "< 4217100091010203", "= 9101"],
+    ),
+    "an answer that is no value of the type": (
+        Read(0x1017, 0, od.UNSIGNED16),
+        ATTEMPTS,
+        [ASKED, "< 4317100091010203", "! object 1017h:0: expected 2 bytes, got 91 01 02 03"],
+    ),
+    "an upload that ends early": (
+        Read(0x1017, 0, RAW),
+        ATTEMPTS,
+        [
+            *(ASKED, "< 411710000a000000", f"> 60{ZEROS}", "< 0361626364656600"),
+            "! object 1017h:0: expected the 10 bytes that the node has told, got 6",
+        ],
     ),
     "each transfer has all its attempts": (
         both,
@@ -123,7 +175,7 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         ],
     ),
     "a segment that does not come begins the upload anew": (
-        Read(0x2002),
+        Read(0x2002, 0, RAW),
         ATTEMPTS,
         [
             *("> 4002200000000000", "@ 0.1", "< 410220000a000000", "> 6000000000000000", "@ 0.2", "< 0061626364656667"),
@@ -138,7 +190,7 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         ["> 4006200000000000", "< 8006200000000206", "> 4000200000000000", "< 4b00200007000000", "= 0700"],
     ),
     "a transfer without end is left": (
-        Read(0x1008),
+        Read(0x1008, 0, RAW),
         ATTEMPTS,
         [
             *("> 4008100000000000", "< 4108100000000000", f"> 60{ZEROS}", *FROM_SEGMENTS, f"< 00{ZEROS}"),
@@ -146,7 +198,7 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         ],
     ),
     "a transfer of nothing without end is left": (
-        Read(0x1008),
+        Read(0x1008, 0, RAW),
         ATTEMPTS,
         [
             *("> 4008100000000000", "< 4108100000000000", f"> 60{ZEROS}", "< 0e00000000000000", "> 8008100005000405"),
@@ -154,7 +206,7 @@ COURSES: dict[str, tuple[object, int, list[str]]] = {
         ],
     ),
     "the longest value has 256 bytes": (
-        Read(0x1008),
+        Read(0x1008, 0, RAW),
         ATTEMPTS,
         [
             *("> 4008100000000000", "< 4108100000000000", f"> 60{ZEROS}", *FROM_SEGMENTS, "< 0600000000000000"),
@@ -207,7 +259,7 @@ def test_course_of_a_dialogue(course: str) -> None:
 
 def test_a_read_whose_answer_must_not_be_used_is_asked_again_at_once() -> None:
     sent: list[bytes] = []
-    dialogue = SdoDialogue(5, one(Read(0x1017)), lambda _, data: sent.append(data), 0.0)
+    dialogue = SdoDialogue(5, one(Read(0x1017, 0, RAW)), lambda _, data: sent.append(data), 0.0)
     for _ in range(ATTEMPTS + 1):
         dialogue.ask_again(bytes.fromhex("4f17100005000000"), 0.1)
     assert dialogue.asked_s == 0.1

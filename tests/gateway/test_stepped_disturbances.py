@@ -28,7 +28,7 @@ PLACES = sorted(
     {
         (each.index, each.subindex, len(each.data))
         for each in configuration(STEPPED, STEPPED.nodes[0])
-        if not each.is_text and each.index // 0x200 != od.TPDO_COMMUNICATION // 0x200
+        if each.data_type != od.VISIBLE_STRING and each.index // 0x200 != od.TPDO_COMMUNICATION // 0x200
     }
 )
 node = st.tuples(st.integers(0, 1), st.integers(1, 2))

@@ -61,3 +61,13 @@ def test_sums_that_change_fifty_times_a_second_are_all_measured(stepped: Contrac
     shown = {sums_of(each, 1).tobytes() for each in made if each.sampled_mono_ns > first_ns}
     assert len(shown) >= 10
     assert len(made) <= 10 + 100 * 0.3
+
+
+def test_a_clock_that_is_set_forward_by_years_ends_in_no_loop_of_years(recorded: Recorded) -> None:
+    late = recorded.logged()
+    for seen in late.values():
+        seen["time_ns"][len(seen) // 2 :] += 10**18
+    made = [each for part in play(recorded.contract, late) for each in part.measurements]
+    at_ns = np.array([each.sampled_mono_ns for each in made])
+    assert (np.diff(at_ns) >= 0).all()
+    assert at_ns[-1] > 10**18

@@ -10,7 +10,7 @@ import pytest
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, LABEL, Topic
 from dbc.contract import Contract
-from recording.export_command import export
+from recording.export_command import Format, export
 from recording.recorded_tables import read_tables
 from recording.sinks import McapSink
 from skin.layout import load_layout
@@ -63,10 +63,21 @@ def test_a_skin_that_is_no_grid_says_where_its_taxels_lie(out: Path) -> None:
     np.testing.assert_array_equal(normals, surface.normals)
 
 
-def test_a_file_is_what_its_suffix_says(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"--to npz writes no '\.parquet': expected another --to"):
-        export(run, out=tmp_path / "run.parquet")
-    export(run, out=tmp_path / "run.dat")
+@pytest.mark.parametrize(
+    ("to", "name"),
+    [("npz", "run.parquet"), ("npz", "a.mcap"), ("parquet", "run.csv"), ("ros2", "bag.mcap"), ("video", "run.npz")],
+)
+def test_a_file_is_what_its_suffix_says(run: Path, tmp_path: Path, to: Format, name: str) -> None:
+    with pytest.raises(InputError, match=rf"--to {to} writes no '\{Path(name).suffix}': expected another --to"):
+        export(run, to=to, out=tmp_path / name)
+
+
+@pytest.mark.parametrize(("to", "made"), [("npz", "new.npz"), ("parquet", "new-images.parquet")])
+def test_a_name_without_a_suffix_gets_that_of_its_kind(run: Path, tmp_path: Path, to: Format, made: str) -> None:
+    if to == "parquet":
+        pytest.importorskip("pyarrow")
+    export(run, to=to, out=tmp_path / "new")
+    assert (tmp_path / made).is_file()
 
 
 def test_nothing_is_written_if_a_table_is_there_already(run: Path, tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """What comes is in the file: frames of every bus, and messages as they were published."""
 
 import signal
+import subprocess
+import sys
 import threading
 from functools import partial
 from pathlib import Path
@@ -9,6 +11,8 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from bandwidth.logs import read_log
 from bus.link import State
@@ -20,7 +24,7 @@ from canskin.fabric import Fabric, Origin
 from canskin.messages import IMAGE, LABEL, MARK, GatewayStatus, Topic
 from canskin.question import Question
 from dbc.contract import Contract
-from dbc.frame import Frames
+from dbc.frame import ERROR, EXTENDED, REMOTE, Frames, frames
 from dbc.generate import contract_files
 from recording import record_command
 from recording.mcap_file import (
@@ -39,6 +43,7 @@ from shell.service import StopSignal
 from shell.skin_options import SkinOptions
 from skin.layout import parse_layout
 from tests import messages as make
+from tests.layouts import buses, small_contract
 from tests.processes import free_endpoint
 from tests.recording.helpers import OFFSET_NS, FakeLink, messages_of
 
@@ -87,6 +92,78 @@ def test_every_frame_is_in_the_file(
         np.testing.assert_allclose(late_ns, late_ns[0], atol=0 if name == "run.mcap" else 1_000_000)
         if name == "run.mcap":
             assert late_ns[0] == OFFSET_NS
+
+
+#: Formats that are written and read without a further package.
+SUFFIXES = (".mcap", ".log", ".asc", ".blf", ".trc", ".csv", ".db")
+ONE_BUS = small_contract(bus=buses(4))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.lists(st.sampled_from([0, 0, 0, EXTENDED, REMOTE, ERROR]), max_size=300), max_size=8))
+def test_a_recorder_counts_what_the_file_holds(tmp_path: Path, suffix: str, turns: list[list[int]]) -> None:
+    """Frames of every kind come as fast as they can, and the file is closed after any turn."""
+    path = tmp_path / f"run{suffix}"
+    path.unlink(missing_ok=True)
+    link = FakeLink()
+    run = Run(path, ONE_BUS, {0: link})
+    for flags in turns:
+        came = frames(len(flags))
+        came["flags"], came["can_id"], came["length"] = flags, 0x181, 8
+        came["time_ns"] = run.wall_ns - OFFSET_NS + np.arange(len(flags))
+        link.coming.append(came)
+        run.turn()
+    run.sink.close()
+    came_in_all = sum(map(len, turns))
+    assert run.recorder.frames + run.recorder.left_out == came_in_all
+    held = [flag for flags in turns for flag in flags if suffix != ".trc" or flag not in {REMOTE, ERROR}]
+    assert run.recorder.frames == len(held)
+    if held:
+        (found,) = read_log(path, pytest.fail).values()
+        assert found["flags"].tolist() == held
+
+
+#: Writes frames without end, a millisecond apart, and tells after each flush how many came.
+WRITER = """
+import sys
+from pathlib import Path
+import numpy as np
+from dbc.frame import frames
+from recording.sinks import open_sink
+from tests.layouts import buses, small_contract
+
+sink, count = open_sink(Path(sys.argv[1]), small_contract(bus=buses(4)), 0, 10**18), 0
+while True:
+    came = frames(37)
+    came["time_ns"] = (count + np.arange(37)) * 1_000_000
+    came["can_id"], came["length"] = (count + np.arange(37)) % 1024, 8
+    sink.frames(0, came, int(came["time_ns"][-1]), 10**18)
+    count += 37
+    if count % 5 == 0:
+        sink.flush()
+        print(count, flush=True)
+"""
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_recorder_that_is_killed_leaves_all_but_the_last_moment(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout is not None
+        for _ in range(np.random.default_rng().integers(1, 40)):
+            flushed = int(writer.stdout.readline())
+        writer.kill()
+    (found,) = read_log(path, lambda _: None).values()
+    assert len(found) >= flushed - 100  # frames of several buses wait 100 ms for each other
+    assert (found["can_id"] == np.arange(len(found)) % 1024).all()
+
+
+def test_a_full_disk_is_said_of_a_database_too(tmp_path: Path) -> None:
+    (tmp_path / "is a folder.db").mkdir()
+    with pytest.raises(OSError, match="SQLite"):
+        open_sink(tmp_path / "is a folder.db", ONE_BUS, 0, 0)
 
 
 @pytest.mark.parametrize("name", ["run.mcap", "run.log"])
@@ -293,12 +370,19 @@ def test_what_cannot_be_recorded_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("name", "buses", "words"), [("run.xyz", 1, "expected a file that ends in"), ("run.csv", 2, "does not tell")]
+    ("name", "fd", "words"),
+    [
+        ("run.xyz", (False,), "expected a file that ends in"),
+        ("run.csv", (False, False), "does not tell"),
+        ("run.db", (True,), "does not hold CAN FD"),
+        ("run.trc", (False, True), "does not hold CAN FD"),
+    ],
 )
-def test_formats_that_cannot_hold_the_frames_are_refused(name: str, buses: int, words: str) -> None:
-    check_format(Path("run.csv"), 1)
+def test_formats_that_cannot_hold_the_frames_are_refused(name: str, fd: tuple[bool, ...], words: str) -> None:
+    check_format(Path("run.csv"), ONE_BUS.layout)
+    lines = tuple(msgspec.structs.replace(ONE_BUS.layout.bus[0], fd=each) for each in fd)
     with pytest.raises(InputError, match=words):
-        check_format(Path(name), buses)
+        check_format(Path(name), msgspec.structs.replace(ONE_BUS.layout, bus=lines))
 
 
 @pytest.mark.heavy

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import LayoutError
-from skin.chains import read_chains
+from skin.chains import read_chains, read_positions
 from skin.layout import Layout, layout_text, load_layout, parse_layout
 
 #: A mat of 4 x 6 taxels on boards of 12, 8 and 4.
@@ -61,7 +61,7 @@ def test_rows_and_columns_in_place_of_taxels(tmp_path: Path) -> None:
         ("1,3,15", "1,16,15", "expected at most 16 places .*, got 17 of board 1"),
         ("1,3,15", "1,2,15", "line 17: place 2 of board 1 is named twice"),
         ("1,3,15", "1,3,nan", "line 17: expected whole numbers from 0 to 65535 as taxel: .*nan"),
-        ("1,3,15", "1,3", "line 17: expected whole numbers"),
+        ("1,3,15", "1,3", "line 17: expected 3 values, as in the header, got 2"),
         ("1,3,15", "1,-3,15", "line 17: expected whole numbers from 0 to 65535 as place, got -3"),
         ("1,3,15", "9,3,15", "board 3 has no taxel"),
         ("board,place", "node,place", "expected the header board,place,taxel"),
@@ -134,10 +134,46 @@ def test_positions_may_name_the_boards(tmp_path: Path) -> None:
     assert layout.measurement.chains == (tuple(range(8)), tuple(range(8, 12)))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        ("# größe\n\nx_m,y_m,z_m", "{x},{y},0"),
+        ("date,x_mm,y_mm,z_mm", "2026-01-01,{x_mm},{y_mm},0"),
+        ("X [mm], Y [mm], Z [mm], größe", "{x_mm}, {y_mm}, 0, 1"),
+        ('sep=;\n"x_m";"y (cm)";z / mm;', "{x};0,5;0;"),
+        ("x_m\ty_m\tz_m\tname", '{x}\t{y}\t0\t"a, b"'),
+    ],
+    ids=["comments", "date", "brackets", "semicolons", "tabs"],
+)
+def test_positions_of_other_programs(tmp_path: Path, header: str, line: str, encoding: str) -> None:
+    places = [(0.0005 * taxel + 0.001, 0.005) for taxel in range(12)]
+    lines = [line.format(x=x, y=y, x_mm=1e3 * x, y_mm=1e3 * y) for x, y in places]
+    if ";" in header:
+        lines = [each.replace(".", ",") for each in lines]
+    path = tmp_path / "strip.csv"
+    path.write_bytes("\r\n".join([header, *lines, ",,," * ("date" in header), ""]).encode(encoding))
+    positions, chains = read_positions(path)
+    assert chains is None
+    np.testing.assert_allclose(positions, [(*place, 0.0) for place in places], atol=1e-15)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_a_layout_may_have_the_encoding_of_an_editor(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "mat.toml"
+    path.write_bytes("# Größe\n[taxels]\nrows = 8\ncolumns = 8\n".encode(encoding))
+    assert load_layout(path).taxels.count == 64
+
+
 @pytest.mark.parametrize(
     ("header", "lines", "more", "words"),
     [
-        ("x,y,z", ["0,0,0"], "", "expected the header x_m,y_m,z_m,..., got x,y,z"),
+        ("x,y,z", ["0,0,0"], "", "expected the header x_m,y_m,z_m,..., .*got x,y,z"),
+        (HEADER, ["0,0"], "", "line 2: expected 3 values, as in the header, got 2"),
+        (HEADER, ["0,5,0,25,0,1"], "", "got 6; decimal commas need ';' between the values"),
+        (f"{HEADER},x_mm", ["0,0,0,0"], "", "expected each column once, got x_m twice"),
+        (f"{HEADER},nx,ny", ["0,0,0,0,0"], "", "expected the columns nx,ny,nz together"),
+        (f"{HEADER},place", ["0,0,0,0"], "", "expected the columns board,place together"),
         (HEADER, ["0,0,0", "0,zero,0"], "", "line 3: expected numbers"),
         (HEADER, [], "", "expected a line for each taxel, got none"),
         (HEADER, strip_lines(boards=False), "rows = 3", "are no grid: leave rows"),

@@ -21,10 +21,12 @@ BO_ 389 Status: 6 Drive
 BO_ 2566848770 Far: 8 Drive
  SG_ Far1 : 0|16@1+ (1,0) [0|65535] "" Drive
 BO_ 1413 Answer: 8 Drive
+BO_ 2566848771 Long: 39 Drive
 BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
 BA_DEF_DEF_ "GenMsgCycleTime" 0;
 BA_ "GenMsgCycleTime" BO_ 389 10;
 BA_ "GenMsgCycleTime" BO_ 2566848770 100;
+BA_ "GenMsgCycleTime" BO_ 2566848771 100;
 """
 
 
@@ -36,8 +38,11 @@ def message(**keys: Any) -> dict[str, Any]:
     return {"name": "drive", "identifier": 0x185, **keys}
 
 
-def test_a_dbc_gives_identifiers_lengths_and_periods_and_the_layout_stands_for_itself(tmp_path: Path) -> None:
-    (tmp_path / "drives.dbc").write_text(DBC)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_a_dbc_gives_identifiers_lengths_and_periods_and_the_layout_stands_for_itself(
+    tmp_path: Path, encoding: str
+) -> None:
+    (tmp_path / "drives.dbc").write_bytes((DBC + 'CM_ BU_ Drive "größer als 5 µs";\n').encode(encoding))
     own = {"name": "sync", "identifier": 0x0F0, "length": 0, "period_s": 0.004}
     table = bus(foreign_dbc="drives.dbc", foreign=[own])
     (tmp_path / "palm.toml").write_text(tomli_w.dumps({"taxels": {"rows": 8, "columns": 8}, "bus": [table]}))
@@ -47,7 +52,9 @@ def test_a_dbc_gives_identifiers_lengths_and_periods_and_the_layout_stands_for_i
         ("Status", 0x185, False, 6, 0.01),
         ("Far", 0x18FF0102, True, 8, 0.1),
         ("Answer", 0x585, False, 8, None),
+        ("Long", 0x18FF0103, True, 8, None),
     ]
+    assert [each.name for each in layout.bus[0].foreign if each.is_split] == ["Long"]
     assert parse_layout(layout_text(layout).encode(), "again.toml") == layout
 
 
@@ -89,9 +96,11 @@ def test_a_clash_names_the_dbc(tmp_path: Path) -> None:
         text = tomli_w.dumps({"name": "palm", "taxels": {"rows": 8, "columns": 8}, "bus": [bus(**keys)]})
         return Contract.from_layout(parse_layout(text.encode(), "palm.toml", tmp_path))
 
-    with pytest.raises(LayoutError, match=r"palm.toml: 'drive' and 'Status' of drives.dbc have the same identifier"):
+    with pytest.raises(
+        LayoutError, match=r"palm.toml: 'drive' and 'Status' of drives.dbc, line 5 have the same identifier"
+    ):
         layout(foreign_dbc="drives.dbc", foreign=[message()])
-    with pytest.raises(LayoutError, match=r"layout palm: 'Status' of drives.dbc and TPDO 1 of node 5"):
+    with pytest.raises(LayoutError, match=r"layout palm: 'Status' of drives.dbc, line 5 and TPDO 1 of node 5"):
         layout(foreign_dbc="drives.dbc", nodes=2, first_node_id=5)
 
 
@@ -114,10 +123,20 @@ def test_a_mistake_in_a_bus_is_told_with_its_remedy(keys: dict[str, Any], says: 
         parse_layout(layout_toml(bus=[{"name": "can0", "nodes": 2} | keys]).encode(), "palm.toml")
 
 
-@pytest.mark.parametrize(("name", "content"), [("none.dbc", None), ("wrong.dbc", "BO_ x")])
-def test_a_dbc_that_cannot_be_read_is_named(name: str, content: str | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("none.dbc", None),
+        ("wrong.dbc", "BO_ x"),
+        ("far.dbc, line 5", DBC.replace("389", "3000")),
+        ("long.dbc, line 9", DBC.replace("1413 Answer: 8", "1413 Answer: 65")),
+        ("slow.dbc, line 5", DBC.replace("BO_ 389 10;", "BO_ 389 90000000;")),
+    ],
+)
+def test_a_dbc_that_cannot_be_read_is_named_with_the_line(name: str, content: str | None, tmp_path: Path) -> None:
+    says, name = name, name.split(",", maxsplit=1)[0]
     if content is not None:
         (tmp_path / name).write_text(content)
     table = {"taxels": {"rows": 8, "columns": 8}, "bus": [bus(foreign_dbc=name)]}
-    with pytest.raises(LayoutError, match=name):
+    with pytest.raises(LayoutError, match=says):
         parse_layout(tomli_w.dumps(table).encode(), "palm.toml", tmp_path)

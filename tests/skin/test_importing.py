@@ -99,8 +99,20 @@ def test_sensors_of_a_urdf_are_regions_if_each_has_a_name(tmp_path: Path) -> Non
         ('rows="2"', 'rows="two"', "not a description with tactile sensors.*two"),
         ('<parent link="tip"/>', "", "not a description with tactile sensors.*<sensor> without <parent>"),
         ('size="0.004 0.005"', 'size="0.004"', "expected 2 numbers"),
-        ('<link name="tip"/>', "", "no link tip"),
-        ('<parent link="base"/><child link="palm"/>', '<parent link="tip"/><child link="palm"/>', "recursion"),
+        ('<link name="tip"/>', "", "no link 'tip'"),
+        ('<parent link="base"/><child link="palm"/>', '<parent link="tip"/><child link="palm"/>', "are a loop"),
+        (
+            '<parent link="base"/><child link="palm"/>',
+            '<parent link="base"/><child link="tip"/>',
+            "'tip' is the child of two",
+        ),
+        ('idx="1"', 'idx="0"', "sensor 'tip': expected each idx once, from 0 on, got 0"),
+        ('idx="1"', 'idx="-1"', "sensor 'tip': expected each idx once, from 0 on, got -1"),
+        ('idx="1" ', "", "<taxel> without 'idx'"),
+        ('rows="2"', 'rows="-2"', "expected 1 row and column of an <array> or more"),
+        ('rows="2"', 'rows="100000000000"', "expected at most 65536 taxels"),
+        ('order="row-major"', 'order="snake"', "expected row-major or column-major .* got snake"),
+        ('offset="0.001 0"/>', 'offset="0.001 0"/><taxel idx="0"/>', "'palm' has both <array> and <taxel>"),
     ],
 )
 def test_wrong_urdf_files(tmp_path: Path, old: str, new: str, says: str) -> None:
@@ -110,6 +122,23 @@ def test_wrong_urdf_files(tmp_path: Path, old: str, new: str, says: str) -> None
     path.write_text(text.replace(old, new))
     with pytest.raises(LayoutError, match=says):
         read_urdf(path)
+
+
+def test_gaps_between_the_taxels_of_a_urdf_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "hand.urdf"
+    path.write_text(URDF.format(order="row-major").replace('idx="1"', 'idx="5"'))
+    found = read_urdf(path)
+    assert len(found.places) == 8
+    assert found.told == ["sensor 'tip' has 2 taxels of idx up to 5: gaps close up"]
+
+
+def test_a_long_arm_has_its_taxels_at_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    joint = "<link name='{0}'/><joint><parent link='{0}'/><child link='{1}'/><origin xyz='0.001 0 0'/></joint>"
+    joints = "".join(joint.format(each, each + 1) for each in range(3000))
+    sensor = "<sensor><parent link='3000'/><tactile><taxel idx='0'/></tactile></sensor>"
+    path.write_text(f"<robot>{joints}<link name='3000'/>{sensor}</robot>")
+    assert read_urdf(path).places[0] == pytest.approx((3.0, 0, 0, 0, 0, 1))
 
 
 def test_a_urdf_without_taxels(tmp_path: Path) -> None:

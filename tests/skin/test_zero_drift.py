@@ -7,11 +7,13 @@ import pytest
 
 from canskin.errors import InputError
 from skin.defects import Defect, Defects, creep, parse_defects
-from skin.layout import load_layout
+from skin.layout import changed, load_layout
 from skin.taxel import TaxelModel
 from skin.zero_drift import ZeroDrift, parse_drifts
 
-LAYOUT, ANALOGUE = load_layout(), load_layout(Path("analogue"))
+LAYOUT, ANALOGUE = (
+    changed(load_layout(each), taxels={"force_max_n": 2.0}) for each in (Path("default"), Path("analogue"))
+)
 TAXELS = (64, 64)
 
 
@@ -80,6 +82,7 @@ def test_a_converter_behind_analogue_sums_shifts_its_sums() -> None:
     ("text", "says"),
     [
         ("", "expected PLACE:COURSE:AMOUNT_N"),
+        ("whole:step:-2.1", "expected an amount of at most 2 N, the range of a taxel, got -2.1"),
         ("nose:step:1", "expected PLACE:COURSE:AMOUNT_N.* with PLACE of whole, half"),
         ("whole:jump:1", "COURSE of step, ramp"),
         ("whole:step", "expected PLACE:COURSE"),

@@ -246,7 +246,7 @@ def test_the_array_played_is_named_beside_the_others(
     pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recording(pair, 6, 4)
-    said = "recording: plays the first array of pair.npz, left; choose with --array, there is also right\n"
+    said = "recording: plays the array left of pair.npz; choose with --array, there is also right\n"
     assert capsys.readouterr().err == said
     many = tmp_path / "many.npz"
     np.savez(many, **{f"a{number}": COUNTS for number in range(12)})
@@ -257,3 +257,28 @@ def test_the_array_played_is_named_beside_the_others(
     for path, arrays, columns in ((pair, "right", 3), (pair, ["left", "right"], 7), (single, None, 4)):
         recording(path, 6, columns, arrays=arrays)
     assert capsys.readouterr().err == ""
+
+
+def test_stamps_and_words_beside_the_images_are_no_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stamps, about = np.arange(5) * 0.01, np.array("a glove")
+    np.savez(tmp_path / "hand.npz", timestamp=stamps, about=about, objects=np.array([{}]), hand=COUNTS)
+    np.testing.assert_array_equal(placed(recording(tmp_path / "hand.npz", 6, 4), 3), COUNTS[3])
+    assert capsys.readouterr().err == ""
+    np.savez(tmp_path / "flat.npz", timestamp=stamps, hand=COUNTS.reshape(5, -1))
+    with pytest.raises(
+        InputError, match=r"'timestamp' of shape \(5,\), 'hand' of shape \(5, 24\): expected .time, rows, columns"
+    ):
+        recording(tmp_path / "flat.npz", 6, 4)
+
+
+def test_a_recording_that_is_high_at_rest_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A glove that reads 2135 at rest and 0 when pressed; and one with a zero point that nobody took off."""
+    np.save(tmp_path / "glove.npy", np.where(COUNTS > 3500, 0, 2135 - COUNTS % 30))
+    np.save(tmp_path / "zero.npy", 2000 + COUNTS % 100)
+    touches = np.where(COUNTS > 3000, COUNTS, COUNTS % 30)
+    np.save(tmp_path / "touch.npy", touches)
+    for name in ("glove", "zero", "touch"):
+        recording(tmp_path / f"{name}.npy", 6, 4)
+        assert ("is high at rest" in capsys.readouterr().err) == (name != "touch")
