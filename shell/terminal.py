@@ -107,7 +107,7 @@ class ProgressBar:
 
     def print(self, line: str) -> None:
         """Print a line on standard error, above the bar."""
-        self._shown.console.print(line, highlight=False, markup=False)
+        self._shown.console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager
