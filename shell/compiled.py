@@ -22,6 +22,7 @@ import numpy as np
 from numba import config, types
 from numba.core import caching, cgutils, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.experimental import structref
 from numba.extending import intrinsic, is_jitted
@@ -216,8 +217,10 @@ def njit(signature: Any = None, *, cache: bool = False, **options: Any) -> Calla
             return kernel
 
         def compile_signature(*_: Any, **__: Any) -> Any:
-            entry = kernel.compile(signature)
-            kernel.disable_compile()  # from now on arguments are converted
+            with global_compiler_lock:
+                kernel.disable_compile(False)  # another thread may have been here meanwhile
+                entry = kernel.compile(signature)
+                kernel.disable_compile()  # from now on arguments are converted
             return entry
 
         kernel._compile_for_args = compile_signature  # type: ignore[attr-defined]  # noqa: SLF001  what a first call calls

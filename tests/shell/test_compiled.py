@@ -4,9 +4,15 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
+from numba import int64
+from numba.core import event
+
+from shell.compiled import njit
 
 CALLEE = """
 from shell.compiled import njit
@@ -97,3 +103,24 @@ def test_a_kernel_is_compiled_in_memory_where_no_folder_can_be_written(folder: P
     (folder / "__pycache__").touch()  # no folder can be made of that name, by root neither
     assert told(folder, **NOWHERE) == [12, 0]
     assert [path.name for path in folder.glob("**/*.nb*")] == []
+
+
+def test_two_threads_may_call_a_kernel_with_a_signature_first() -> None:
+    @njit(int64(int64))
+    def doubled(x: int) -> int:
+        return 2 * x
+
+    results: list[int] = []
+    other = threading.Thread(target=lambda: results.append(doubled(2)))
+
+    class Meanwhile(event.Listener):
+        def on_start(self, _: Any) -> None:
+            other.start()
+
+        def on_end(self, _: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Meanwhile()):
+        results.append(doubled(1))
+    other.join()
+    assert sorted(results) == [2, 4]
