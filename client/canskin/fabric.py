@@ -134,11 +134,12 @@ class Mailbox(Generic[Message]):
 
     def get(self, timeout_s: float | None = None) -> Message | None:
         """Return the oldest waiting message, or None if no message came within `timeout_s`."""
+        until_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while True:
             if (message := self._next()) is not None:
                 return message
-            # The lock may have been opened for a message that was taken without waiting: look again.
-            if not self._arrived.acquire(timeout=-1 if timeout_s is None else timeout_s):
+            # The lock may have been opened for a message that was taken without waiting, or is none: look again.
+            if not self._arrived.acquire(timeout=-1 if timeout_s is None else max(0.0, until_s - time.monotonic())):
                 return None
 
     def _next(self) -> Message | None:

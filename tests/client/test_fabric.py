@@ -355,6 +355,24 @@ def test_a_mailbox_decodes_what_is_taken_and_passes_over_what_is_no_message() ->
     assert mailbox.get(0) is None
 
 
+def test_a_wait_at_a_mailbox_ends_in_time_while_garbage_comes() -> None:
+    mailbox: Mailbox[Label] = Mailbox(1, lambda _: None)
+    is_over = threading.Event()
+
+    def send() -> None:
+        for _ in range(5000):
+            mailbox.put(b"garbage")
+            if is_over.wait(0.001):
+                return
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    assert mailbox.get(0.5) is None
+    assert sender.is_alive()
+    is_over.set()
+    sender.join()
+
+
 @pytest.mark.parametrize("endpoint", ["bogus", "tcp/127.0.0.1", "tcp/host:99999", "tpc/host:7447", "unixpipe/"])
 def test_endpoint_of_no_known_form_is_one_clear_line(endpoint: str) -> None:
     with pytest.raises(BusError, match=rf"expected an endpoint such as tcp/127\.0\.0\.1:7447, got '{endpoint}'"):
