@@ -86,15 +86,12 @@ def _parsed(
     Raises
     ------
     InputError
-        If the words name another verb, or one twice.
+        If the words name no verb, another verb, or one twice.
     cyclopts.CycloptsError
         If a verb does not take its words.
     """
     app, serve = build_app(), dict[str, Callable[[], Any]]()
-    for is_end, part in groupby(words, AND.__eq__):
-        if is_end:
-            continue
-        verb, *options = part
+    for verb, *options in [[*part] for is_end, part in groupby(words, AND.__eq__) if not is_end] or [[AND]]:
         if verb not in SERVICES or verb in serve:
             raise InputError(f"expected each of {', '.join(SERVICES)} once, '{AND}' between two, got '{verb}'")
         hub = {"--listen": listen, "--connect": connect} if verb == "gateway" else {"--connect": connect or listen}

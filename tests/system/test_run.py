@@ -70,6 +70,7 @@ def test_a_service_that_breaks_ends_the_process_with_its_error(slow_layout: Path
     [
         ("gateway + gateway", "each of gateway, reconstruct, classify, view once, '+' between two, got 'gateway'"),
         ("gateway + record", "got 'record'"),
+        ("+", "got '+'"),
         ("reconstruct --listen tcp/127.0.0.1:7447", "--listen: expected a gateway"),
         ("reconstruct + view --port many", "many"),
         ("reconstruct --gains absent.json --layout default", "absent.json"),
