@@ -229,7 +229,7 @@ def request_real_time(service: str, tell: Callable[[str], None] | None = None) -
         say(service, f"scheduling: ordinary; {why}")
     tell(obtained)
     _TOLD.append(tell)
-    if obtained == REAL_TIME and wanted is Priority.AUTO and len(_TOLD) == 1:
+    if obtained == REAL_TIME and wanted is Priority.AUTO and _TOLD[0] is tell:  # the first of several threads
         threading.Thread(target=_watch, args=(service,), name="share of real time", daemon=True).start()
     return obtained
 

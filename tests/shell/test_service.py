@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+from queue import SimpleQueue
 
 import pytest
 
@@ -134,6 +136,26 @@ def test_real_time_is_given_back_where_programs_take_too_much() -> None:
     assert answer.stdout == "['realtime', 'ordinary']\n"
     assert "expected at most" in answer.stderr
     assert "--priority realtime keeps real time" in answer.stderr
+
+
+def test_of_services_that_ask_at_once_one_watches(monkeypatch: pytest.MonkeyPatch) -> None:
+    both, watched = threading.Barrier(2), SimpleQueue[str]()
+
+    class Told(list[Callable[[str], None]]):
+        def append(self, tell: Callable[[str], None]) -> None:
+            super().append(tell)
+            both.wait(PATIENCE_S)
+
+    replaced = {"_TOLD": Told(), "_has_one_core": lambda: False, "_schedule": lambda *_: True, "_watch": watched.put}
+    for name, value in replaced.items():
+        monkeypatch.setattr(f"shell.service.{name}", value)
+    services = [threading.Thread(target=request_real_time, args=(name,)) for name in ("one", "other")]
+    for each in services:
+        each.start()
+    for each in services:
+        each.join()
+    assert watched.get(timeout=PATIENCE_S) in {"one", "other"}
+    assert watched.empty()
 
 
 def test_priority_normal_asks_for_nothing() -> None:
