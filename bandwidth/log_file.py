@@ -64,7 +64,8 @@ class _Lines:
         self._file, self._reader = file, reader
         self.text = self.cut = ""
         self.number = 0
-        self.unread: list[int] = []
+        #: Number of lines that were not read, and the first of them.
+        self.unread = self.first_unread = 0
         #: Whether the line is an error frame, which python-can reads as a frame of the bus.
         self.is_error = False
         #: Whether python-can made a frame of the line.
@@ -77,7 +78,7 @@ class _Lines:
     def __next__(self) -> str:
         while True:
             if not self.is_taken and not _NO_FRAME.match(self.text):
-                self.unread.append(self.number)
+                self.unread, self.first_unread = self.unread + 1, self.first_unread or self.number
             self.text, self.is_taken, self.is_error = self._next(), False, False
             if (line := self._known(self.text)) is not None:
                 return line
@@ -142,7 +143,7 @@ class _Blf(can.BLFReader):
     def __init__(self, file: BinaryIO) -> None:
         super().__init__(file)
         self.place, self.cut = "its head", ""
-        self.unread: list[int] = []
+        self.unread = Counter[int]()
 
     def __iter__(self) -> Generator[can.Message]:
         objects = 0
@@ -162,7 +163,7 @@ class _Blf(can.BLFReader):
                     objects += 1
                     yield from self._messages(each)
             elif not is_cut:
-                self.unread.append(kind)
+                self.unread[kind] += 1
             self._tail = self._tail or (head if is_cut else b"")
         if not self.object_count:
             self.cut = f"was not closed: what came after its {objects} objects is missing"
@@ -208,7 +209,7 @@ class _Blf(can.BLFReader):
             found = found[:8] + sized + found[16:begin] + body
         messages = [*self._parse_data(found)]
         if not messages:
-            self.unread.append(kind)
+            self.unread[kind] += 1
         yield from messages
 
 
@@ -267,10 +268,11 @@ class LogFile:
 
     def missing(self) -> Iterator[str]:
         """Yield, after the last frame, what a reader has to know of parts that were not read."""
-        if self._lines is not None and (unread := self._lines.unread):
-            first = f"line {unread[0]}" if len(unread) == 1 else f"{len(unread)} lines, the first is line {unread[0]}"
-            yield f"not read: {first}: expected a frame of CAN or CAN FD, or a comment"
-        if isinstance(self._reader, _Blf) and (kinds := Counter(self._reader.unread)):
+        if self._lines is not None and (count := self._lines.unread):
+            first = f"line {self._lines.first_unread}"
+            which = first if count == 1 else f"{count} lines, the first is {first}"
+            yield f"not read: {which}: expected a frame of CAN or CAN FD, or a comment"
+        if isinstance(self._reader, _Blf) and (kinds := self._reader.unread):
             named = ", ".join(f"{kind} ({count})" for kind, count in sorted(kinds.items()))
             yield f"not read: objects of kinds {named}"
         source = self._lines or self._reader

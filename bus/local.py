@@ -39,6 +39,7 @@ class LocalLink:
         self._bus = bus
         self._station = bus.attach(name, queue_size)
         self._arrived: deque[Frames] = deque()
+        self._waiting = 0
 
     def fileno(self) -> int:
         """Return -1: there is nothing to select; `bus.server.BusServer.ready` tells when frames wait."""
@@ -61,15 +62,19 @@ class LocalLink:
     def offer(self, batch: Batch) -> None:
         """Take the records of a batch that are for this station."""
         chosen = batch.of(self._station)
-        if len(self._arrived) == BACKLOG_FRAMES:
-            self.dropped += len(self._arrived.popleft())
-        if len(chosen):
-            self._arrived.append(chosen)
+        if not len(chosen):
+            return
+        self._arrived.append(chosen)
+        self._waiting += len(chosen)
+        while self._waiting > BACKLOG_FRAMES and len(self._arrived) > 1:
+            lost = len(self._arrived.popleft())
+            self._waiting, self.dropped = self._waiting - lost, self.dropped + lost
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of own frames included, in bus order."""
         arrived = np.concatenate((frames(0), *self._arrived)) if len(self._arrived) != 1 else self._arrived[0]
         self._arrived.clear()
+        self._waiting = 0
         return arrived
 
     def send(self, burst: Frames) -> int:
