@@ -45,7 +45,8 @@ ENVIRONMENT: Final = """\
 #
 # The layout: a name that comes with canskin, or an absolute path that the user skin can read, best in /etc/canskin.
 SKIN_LAYOUT={layout}
-# More words of each verb; `skin VERB --help` lists all. Models and calibration belong here, for example
+# More words of each verb; `skin VERB --help` lists all; skin@run has those of gateway and reconstruct. Models and
+# calibration belong here, for example
 #   SKIN_gateway=-i socketcan -c can0 --calibration /etc/canskin/palm.json
 #   SKIN_reconstruct=--gains /etc/canskin/gains.json
 #   SKIN_classify=--model /etc/canskin/palm.npz

@@ -1,7 +1,7 @@
 """Limits of files from others: their size, keys and unpacked size are checked before they are parsed; for all rooms.
 
 A small file can claim, or unpack to, thousands of times its size. With these limits a reader takes about 200 MB and 2 s
-at most. Those of recordings are in `recording.mcap_file`, those of logs in `bandwidth.logs`.
+at most. Those of recordings are in `recording.mcap_file`, those of logs in `bandwidth.logs` and `log_file`.
 """
 
 import codecs
