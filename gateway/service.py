@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from bus.intake import DROPPED, IS_READY, Readable, attach
-from bus.link import Link
+from bus.link import Link, State
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, Measurement
 from dbc.contract import Contract
@@ -159,6 +159,7 @@ class GatewayService:
                 dropped=link.dropped,
                 stamp_error_ns=link.stamp_error_ns,
             )
+            self._turn.is_restless[number] |= link.state is not State.ACTIVE
 
     def publish(self, measurements: list[Measurement]) -> None:
         """Publish measurements with their offsets."""

@@ -124,3 +124,15 @@ def test_what_is_read_compiled_is_what_python_reads(
     assert of_ours[-1].frames.accepted > 100
     for served in pair:
         served.close()
+
+
+def test_a_controller_that_is_well_again_is_seen_with_the_next_sums(
+    small: Contract, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(GatewayService, "waits_ns", lambda _service: (0, 0))
+    served = Served(small, compiled=True)
+    sums = frame(small.on_bus(0)[0].tpdos[0].cob_id, bytes((1, *bytes(small.table.length[0] - 1))))
+    for now_s, state in ((50.0, State.PASSIVE), (50.1, State.ACTIVE)):
+        served.turn(now_s, [HEADER.pack(MAGIC, Kind.FRAMES, state, 1, 0, 0) + sums.tobytes(), b""])
+        assert served.wired[0].state is state
+    served.close()
