@@ -73,13 +73,16 @@ def read_table(path: Path, what: str, wanted: Sequence[str]) -> Table:
     text = read_text(path, LayoutError, f"the {what}")
     separator = _separator(text)
     lines = csv.reader(StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
+    cells_of_lines = _cells(lines)
     try:
-        header, *found = list(islice(_cells(lines), MOST + 3)) or [(1, [])]
+        _, header = next(cells_of_lines, (1, []))
+        # Not read beyond a header that is too long: the lines below would be as long.
+        found = list(islice(cells_of_lines, MOST + 2)) if len(header) <= _COLUMNS_MAX else []
     except csv.Error as error:
         raise LayoutError(f"{path}: cannot read the {what}: {error}") from error
-    names, scales = zip(*map(_named, header[1]), strict=True) if header[1] else ((), ())
-    if len(names) > _COLUMNS_MAX or len(found) > MOST + 1:
+    if len(header) > _COLUMNS_MAX or len(found) > MOST + 1:
         raise LayoutError(f"{path}: expected at most {_COLUMNS_MAX} columns and {MOST + 1} lines, got more")
+    names, scales = zip(*map(_named, header), strict=True) if header else ((), ())
     if twice := [name for name in wanted if names.count(name) > 1]:
         raise LayoutError(f"{path}: expected each column once, got {twice[0]} twice")
     rows = []

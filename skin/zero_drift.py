@@ -129,8 +129,9 @@ def _parsed(text: str, seed: tuple[int, int], layout: Layout) -> tuple[bool, Zer
         raise InputError(f"expected numbers after {rest[0]}, got '{':'.join(rest[1:])}'") from None
     when: dict[str, Any] = dict(zip(("start_s", "duration_s"), times_s, strict=False))
     when |= {"course": rest[0], "amount_n": amount_n}
+    is_of_sums = found["of"] == "converter" and layout.taxels.is_analogue
     force_max_n = layout.taxels.force_max_n
-    if abs(amount_n) > force_max_n:
+    if not is_of_sums and abs(amount_n) > force_max_n:
         raise InputError(f"expected an amount of at most {force_max_n:g} N, the range of a taxel, got {amount_n:g}")
     if found["name"]:
         return False, ZeroDrift(**when | {"place": found["name"]})
@@ -143,7 +144,7 @@ def _parsed(text: str, seed: tuple[int, int], layout: Layout) -> tuple[bool, Zer
     if block >= layout.blocks:
         raise InputError(f"expected a block from 0 to {layout.blocks - 1}, got {block}")
     phi = layout.phi()
-    if found["of"] == "converter" and layout.taxels.is_analogue:
+    if is_of_sums:
         return True, ZeroDrift("cells", **when, cells=tuple(range(*phi.starts[block : block + 2].tolist())))
     return False, ZeroDrift("cells", **when, cells=tuple(phi.taxels_of(block).tolist()))
 

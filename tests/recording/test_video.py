@@ -109,5 +109,5 @@ def test_a_skin_that_is_no_grid_is_drawn_in_its_places() -> None:
 
 
 def test_a_video_is_an_mp4(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"ends in \.mp4"):
+    with pytest.raises(InputError, match=r"writes no '\.avi'"):
         export(run, to="video", out=tmp_path / "run.avi")
