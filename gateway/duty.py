@@ -168,13 +168,13 @@ class Duties:
 
     Attributes
     ----------
-    names : dict of str to str
+    words : str
         What measurements tell, see `canskin.messages.Measurement.duty`.
     """
 
     def __init__(self, fabric: Fabric, skin: str, fingerprint: str, tell: Callable[[str], None]) -> None:
         self._duties = {service: Duty(service, tell) for service in RESULTS}
-        self.names = dict.fromkeys(RESULTS, "")
+        self.words = self._words()
         self._fabric, self._own = fabric, (skin, fingerprint)
         self._news: deque[Callable[[float], None]] = deque()
         #: What ends the subscriptions of each service that is there twice.
@@ -202,7 +202,10 @@ class Duties:
                 duty.begin(now_s)
             elif service in self._ends:
                 duty.look(now_s)
-        self.names = {service: duty.named for service, duty in self._duties.items()}
+        self.words = self._words()
+
+    def _words(self) -> str:
+        return " ".join(f"{service}={duty.named}" for service, duty in self._duties.items())
 
     def _note(self, peer: Peer, is_there: bool) -> None:
         if peer.service in RESULTS and (peer.skin, peer.fingerprint) == self._own:

@@ -172,7 +172,7 @@ class GatewayService:
         for each in measurements:
             whole = each if self._calibration is None else self._calibration.apply(each)
             if self._duties is not None:
-                whole = msgspec.structs.replace(whole, duty=self._duties.names)
+                whole = msgspec.structs.replace(whole, duty=self._duties.words)
                 self._duties.sent(self._clock())
             self._fabric.publish(MEASUREMENT, whole)
             if self._calibration is not None:

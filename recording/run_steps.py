@@ -183,7 +183,7 @@ class _Recorded:
         message = decode(entry.data)
         if entry.topic == MEASUREMENT.name:
             self._check(message)
-            self._add(MeasurementStep(entry.time_ns, msgspec.structs.replace(message, duty={})))  # who is not here now
+            self._add(MeasurementStep(entry.time_ns, msgspec.structs.replace(message, duty="")))  # who is not here now
         elif entry.topic == IMAGE.name:
             self._images.keep(message)
         elif entry.topic == LABEL.name:

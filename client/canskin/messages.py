@@ -72,9 +72,9 @@ class Measurement(Told, frozen=True, kw_only=True):
         Bits of `numpy.packbits`, row-major, shape (ceil(n / 8),): 1 for taxels whose force may be an error of the zero,
         for example of a warm patch, or of gains that nobody has accepted. Empty if no taxel is doubtful.
         `canskin.sums.doubtful_taxels` decodes them.
-    duty : dict of str to str
-        By service: the instance (`canskin.peers.Peer`) that publishes what it makes of this measurement. The others of
-        that service stand by. Services that are not named here all publish.
+    duty : str
+        ``SERVICE=INSTANCE``, a space between two: the instance of each service (`canskin.peers.Peer`) that publishes
+        what it makes of this measurement. Other instances stand by. Services that are not named here all publish.
     """
 
     cycle: int
@@ -89,11 +89,11 @@ class Measurement(Told, frozen=True, kw_only=True):
     sampled_error_ns: int = UNKNOWN_ERROR_NS
     wall_offset_ns: int = 0
     bus_sampled_ns: bytes = b""
-    duty: dict[str, str] = msgspec.field(default_factory=dict)
+    duty: str = ""
 
     def names(self, service: str, instance: str) -> bool:
         """Tell whether an instance of a service publishes what it makes of this measurement."""
-        return self.duty.get(service, instance) == instance
+        return f"{service}={instance}" in self.duty.split() or f"{service}=" not in self.duty
 
     @property
     def time_ns(self) -> int:
