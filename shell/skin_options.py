@@ -86,7 +86,7 @@ class SkinOptions:
         given = self.layout
         if given is None and is_recording(recording):
             given = recording
-        if given is None and (needs_hub or self.connect or self.skin or (not recording and is_told(self.endpoint))):
+        if given is None and (needs_hub or self.connect or self.skin or (not recording and told_skins(self.endpoint))):
             return hub_layout(self.endpoint, self.skin, stop, patience_s=PATIENCE_S, service=service)
         layout = load_layout(given)
         if self.skin not in {None, layout.name}:
@@ -225,17 +225,16 @@ def hub_layout(
         return _told(fabric, peer, endpoint, patience_s)
 
 
-def is_told(endpoint: str) -> bool:
-    """Tell whether a layout is told at an endpoint now."""
-
-    def is_known(peers: list[Peer]) -> bool:
-        return any(map(knows_layout, peers))
-
+def told_skins(endpoint: str) -> list[str]:
+    """Return the names of the skins whose layout is told at an endpoint now; none, and no wait, without a hub."""
     try:
         endpoint, keys = checked(endpoint, environment_keys())
-        return accepts(endpoint) and is_known(peers_at(endpoint, GLANCE_S, is_known, keys=keys))
+        if not accepts(endpoint):
+            return []
+        peers = peers_at(endpoint, GLANCE_S, lambda found: any(map(knows_layout, found)), keys=keys)
     except BusError:
-        return False
+        return []
+    return sorted({peer.skin for peer in peers if knows_layout(peer)})
 
 
 def knows_layout(peer: Peer) -> bool:
