@@ -12,7 +12,7 @@ import msgspec
 from cyclopts import Parameter
 
 from canskin.description import DESCRIPTION, LAYOUT, LayoutReply, LayoutRequest
-from canskin.errors import BusError, DeniedError, InputError, LayoutError, Stopped
+from canskin.errors import BusError, DeniedError, InputError, LayoutError, Stopped, tell
 from canskin.fabric import Fabric
 from canskin.keys import accepts, environment_keys
 from canskin.peers import GATEWAYS, Peer
@@ -113,8 +113,6 @@ class SkinOptions:
         ------
         LayoutError
             If ``--layout`` differs from the layout on the hub.
-        BusError
-            If only other skins are on the hub.
         """
         fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s, prepare=prepare)
         try:
@@ -126,7 +124,11 @@ class SkinOptions:
         return fabric
 
     def compare(self, layout: Layout, instance: str = "", stop: Stop | None = None) -> None:
-        """Raise as `join` if a hub is there now, and another service than `instance` tells a layout."""
+        """Raise as `join` if a hub is there now, and another service than `instance` tells a layout.
+
+        Where other skins alone are there, the services of this skin may come later: they are waited for, then a line
+        names the others.
+        """
         try:  # a connection of its own: that of a service knows the others only after a while
             fabric = Fabric(layout.name, "", self.endpoint, stop=stop, patience_s=GLANCE_S)
         except BusError:
@@ -151,10 +153,8 @@ class SkinOptions:
                 raise Stopped
             if time.monotonic() > give_up_s:
                 found = ", ".join(sorted({f"'{each.skin}'" for each in others}))
-                raise BusError(
-                    f"no skin '{layout.name}' ({self.layout}) at {self.endpoint}, found {found}: leave --layout out, or"
-                    " give another --connect"
-                )
+                tell("skin", f"no service of '{layout.name}' ({self.layout}) is at {self.endpoint} yet, found {found}")
+                return
             time.sleep(LOOK_S)
 
 
@@ -190,7 +190,7 @@ def join(
 ) -> Fabric:
     """Return the connection of a service that knows its layout; a gateway tells it whoever asks. See `Fabric`."""
 
-    def tell(fabric: Fabric) -> None:  # before the others see the service: then they ask
+    def describe_it(fabric: Fabric) -> None:  # before the others see the service: then they ask
         if service in GATEWAYS:
             about, told = describe(layout), LayoutReply(layout_text(layout))
             check_bytes(len(told.toml), LayoutError, f"the text of layout '{layout.name}'")
@@ -206,7 +206,7 @@ def join(
         stop=stop,
         fingerprint=layout.operator().fingerprint,
         patience_s=patience_s,
-        prepare=tell,
+        prepare=describe_it,
     )
 
 

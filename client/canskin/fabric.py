@@ -265,7 +265,7 @@ class Fabric:
     stop : Stop, optional
         If set while the constructor waits for the hub, `canskin.errors.Stopped` is raised.
     fingerprint : str
-        Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
+        Of this service's Φ. The other services see the fingerprint. Services of the skin with another Φ or another
         version are named in the log.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
@@ -640,8 +640,8 @@ class Fabric:
         return decode_or_count
 
     def _compare(self, peer: Peer, alive: bool) -> None:
-        """Log, once per difference, that a service cannot work with this service."""
-        if peer.instance == self._peer.instance:
+        """Log services of this skin that come and go, and once per difference that one cannot work with this one."""
+        if peer.instance == self._peer.instance or peer.skin != self._peer.skin:
             return
         if self._others.note(peer.service, peer.key, alive):
             tell(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", logging.INFO)
