@@ -84,12 +84,12 @@ class Missed:
     """Counts the messages that the fabric dropped, by the gaps in the numbers of each publisher and topic."""
 
     def __init__(self) -> None:
-        self._expected: dict[tuple[str, str], int] = {}
-        self._counts: Counter[tuple[str, str]] = Counter()
+        self._expected: dict[tuple[str, str, object], int] = {}
+        self._counts: Counter[tuple[str, str, object]] = Counter()
 
-    def take(self, topic: str, origin: Origin) -> None:
-        """Take note of a message."""
-        key = topic, origin.publisher
+    def take(self, topic: str, origin: Origin, reader: object = None) -> None:
+        """Take note of a message; of several readers of a topic, each has gaps of its own."""
+        key = topic, origin.publisher, reader
         expected = self._expected.get(key, origin.number)
         # A number below the expected one was counted as missed, and came after its successor.
         self._counts[key] += origin.number - expected if origin.number >= expected else -1
@@ -105,7 +105,7 @@ class Missed:
         A publisher that repeats numbers hides no loss of another.
         """
         totals: Counter[str] = Counter()
-        for (topic, _), missing in (+self._counts.copy()).items():
+        for (topic, *_), missing in (+self._counts.copy()).items():
             totals[topic] += missing
         return dict(sorted(totals.items()))
 
@@ -254,14 +254,19 @@ class Shared:
 
     def enter(self, open_session: Callable[[], Any]) -> Any:
         """Return the session for one more service."""
-        session = open_session() if self.session is None else self.session
+        if (session := self._joined(None)) is None:
+            opened = open_session()  # may wait for a hub: the others are to open and leave meanwhile
+            session = self._joined(opened)
+            if session is not opened:  # another has opened one meanwhile
+                opened.close()
+        return session
+
+    def _joined(self, opened: Any) -> Any:
+        """Return the session, `opened` where there is none; count one more service where there is one now."""
         with self._lock:
-            if self.session is None:
-                self.session = session
-            self._services += 1
-        if session is not self.session:  # another has opened one meanwhile
-            session.close()
-        return self.session
+            self.session = opened if self.session is None else self.session
+            self._services += self.session is not None
+            return self.session
 
     def leave(self) -> None:
         """Close the session after its last service."""
@@ -289,7 +294,7 @@ class Fabric:
     stop : Stop, optional
         If set while the constructor waits for the hub, `canskin.errors.Stopped` is raised.
     fingerprint : str
-        Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
+        Of this service's Φ. The other services see the fingerprint. Services of the skin with another Φ or another
         version are named in the log.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
@@ -615,7 +620,7 @@ class Fabric:
                 receive(content, origin)
 
         def take_sample(sample: Any) -> None:
-            origin = self._note(topic, sample)
+            origin = self._note(topic, rising, sample)
             if len(sample.payload) > 0:
                 take(sample.payload.to_bytes(), origin)
 
@@ -646,18 +651,21 @@ class Fabric:
     def _hand_over(self, waiting: Mailbox[Any]) -> None:
         while not self._closed.is_set():
             if (read := waiting.get()) is not None:
-                read()
+                try:
+                    read()
+                except Exception as error:  # noqa: BLE001  as zenoh, which goes on with the next message
+                    tell(self.service, f"a message was not taken: {type(error).__name__}: {error}", logging.ERROR)
 
-    def _note(self, topic: Topic, sample: Any) -> Origin | None:
-        """Count what is missing before a sample, and return its origin."""
+    def _note(self, topic: Topic, reader: object, sample: Any) -> Origin | None:
+        """Count what is missing for a reader before a sample, and return its origin."""
         origin = _origin_of(sample.attachment)
         if origin is not None:
-            self.missed.take(topic.name, origin)
+            self.missed.take(topic.name, origin, reader)
         return origin
 
     def _is_message(self, topic: Topic, rising: Rising, sample: Any) -> bool:
         """Count what is missing before a sample; tell whether the sample is more than that of `_wake`, and in time."""
-        origin = self._note(topic, sample)
+        origin = self._note(topic, rising, sample)
         return len(sample.payload) > 0 and self._is_in_time(topic, rising, sample.payload, origin)
 
     def _is_in_time(self, topic: Topic, rising: Rising, content: Any, origin: Origin | None) -> bool:
@@ -697,8 +705,8 @@ class Fabric:
         return decode_or_count
 
     def _compare(self, peer: Peer, alive: bool) -> None:
-        """Log, once per difference, that a service cannot work with this service."""
-        if peer.instance == self._peer.instance:
+        """Log services of this skin that come and go, and once per difference that one cannot work with this one."""
+        if peer.instance == self._peer.instance or peer.skin != self._peer.skin:
             return
         if self._others.note(peer.service, peer.key, alive):
             tell(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", logging.INFO)
