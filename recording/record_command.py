@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -32,7 +33,8 @@ from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
-from shell.skin_options import SkinOptions
+from shell.skin_options import SkinOptions, hub_layout, knows_layout
+from skin.difference import difference
 from skin.layout import Layout
 from skin.ranges import require_above_zero
 
@@ -121,6 +123,11 @@ def record(
         if pulse.fabric is not None:
             pulse.fabric.close()
     _conclude(recorder, out)
+    if recorder.differs:
+        raise RunError(
+            f"{out} has ended: the gateway was started with another layout: {recorder.differs}. Record that in another"
+            " file"
+        )
 
 
 def _check_kept(out: Path, option: str, is_given: bool) -> None:
@@ -130,11 +137,22 @@ def _check_kept(out: Path, option: str, is_given: bool) -> None:
 
 
 def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, pulse: Pulse) -> None:
-    """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
+    """Subscribe to everything when there is a hub; frames are recorded meanwhile.
+
+    A gateway that is started again with another layout ends the recording: the file is of the layout in it.
+    """
+    started = threading.Event()
 
     def note(peer: Peer, alive: bool) -> None:
         if peer.skin == skin.name:
             recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
+            if alive and knows_layout(peer):
+                started.set()
+
+    def look() -> None:
+        if started.is_set():
+            started.clear()
+            _compare(of, skin, recorder, stop)
 
     def subscribe(fabric: Fabric) -> None:  # before a program sees the recorder, and sends it marks
         fabric.watch_peers(note)
@@ -148,7 +166,17 @@ def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, p
     except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
-    follow_calibration(fabric, recorder.take_file, stop)
+    follow_calibration(fabric, recorder.take_file, stop, look)
+
+
+def _compare(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal) -> None:
+    """End the recording if the gateway has another layout."""
+    with suppress(BusError, Stopped):  # the gateway has left again
+        told = hub_layout(of.endpoint, skin.name, stop, service="recorder")
+        if differs := difference(msgspec.to_builtins(skin), msgspec.to_builtins(told)):
+            recorder.take_event("record", f"the gateway was started with another layout: {differs}")
+            recorder.differs = differs
+            stop.set()
 
 
 def _conclude(recorder: Recorder, out: Path) -> None:

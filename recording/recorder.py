@@ -49,6 +49,8 @@ class Recorder:
         Frames that the format of the file does not hold.
     missed : Missed
         Messages that did not come.
+    differs : str
+        How the layout of a gateway that was started meanwhile differs from that of the file; empty while none does.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Recorder:
     ) -> None:
         self.frames = self.messages = self.left_out = 0
         self.missed = Missed()
+        self.differs = ""
         self._links, self._sink, self._names = dict(links), sink, names
         self._wall_ns, self._mono_ns = wall_ns, mono_ns
         self._waiting: deque[_Waiting] = deque()
