@@ -434,7 +434,7 @@ def test_a_recording_follows_a_gateway_that_starts_again_and_ends_where_its_layo
     gateways: list[Fabric] = []
     starting = threading.Thread(target=start_again)
     starting.start()
-    with handlers_kept(), pytest.raises(RunError, match=r"another layout: `\$.sync.rate_hz` is 100.0, there 50.0"):
+    with handlers_kept(), pytest.raises(RunError, match=r"another layout now: `\$.sync.rate_hz` is 100.0, there 50.0"):
         record_command.record(out, of=SkinOptions(connect=endpoint))
     starting.join()
     for fabric in (*gateways, hub):
