@@ -21,7 +21,7 @@ from dbc.dictionary import SILENT_AFTER_S
 from gateway.foreign_sdo import GAINS, Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
 from gateway.proof import Known, Proof, prove
-from gateway.sdo import ATTEMPTS, Dialogue, SdoDialogue
+from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
 from gateway.spread import Spread
 
 #: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`; of a node
@@ -94,6 +94,7 @@ _FAULTS: Final = {
     Event.DIFFERENT: Fault.CHANGED,
 }
 _STARTING: Final = NodeFault(Fault.STARTING)
+_LATE: Final = f", and an answer came after more than {TIMEOUT_S:g} s"
 #: A node that was asked in vain this often, and sends heartbeats, does not answer.
 _IN_VAIN: Final = 2
 
@@ -306,6 +307,8 @@ class NodeMachine:
         if self.errand is not None:
             self.errand.take(data, now_s)
             self._end_errand()
+        elif not self.in_use and _LATE not in self.unanswered:
+            self.unanswered += _LATE
         return False
 
     def take_foreign_request(self, data: bytes, now_s: float) -> None:
