@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import remainder
 from typing import Final
 
 import numpy as np
@@ -28,9 +27,8 @@ RATES_HZ: Final = (250.0, 10.0)
 RATE_MAX_HZ: Final = 1000.0
 RATE_MIN_HZ: Final = 1.0
 #: Boards near a touch send one after the other in each slot, and rest then: a measurement is made this long after the
-#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later, or half a
-#: period later once, where frames begin when one was made; all count from when the one before was due, if its turn was
-#: late by at most `LATE_S`.
+#: newest frame. For that it comes at most `SOONER_S` sooner than the highest rate asks, or `LATER_S` later; both count
+#: from when the one before was due, if its turn was late by at most `LATE_S`.
 AFTER_NEWEST_S: Final = 0.0005
 SOONER_S: Final = 0.0003
 LATER_S: Final = 0.0001
@@ -206,8 +204,7 @@ class SteppedGathering:
         """Return a measurement, due or not."""
         self._published_s, self._has_news = now_s, False
         self._earliest_s = max(self._earliest_s, now_s - 2 * self._shortest_s) + self._shortest_s
-        rested_s = now_s - 1e-9 * self._newest_ns - AFTER_NEWEST_S
-        sooner_s = max(rested_s, -LATER_S) if rested_s < 0 else min(remainder(rested_s, self._shortest_s), SOONER_S)
+        sooner_s = min(max(now_s - 1e-9 * self._newest_ns - AFTER_NEWEST_S, -LATER_S), SOONER_S)
         due_s = max(self._next_s, now_s - LATE_S)
         self._next_s = max(self._earliest_s, due_s + self._shortest_s - sooner_s)
         self._judge(now_s)

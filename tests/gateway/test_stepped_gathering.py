@@ -98,10 +98,9 @@ def test_measurements_come_at_their_rate_soon_after_the_frames_of_a_slot(boards:
         if came := gateway.measurements(now_s):
             times_s.append(now_s)
             ages_s.append(now_s - 1e-9 * came[0].sampled_mono_ns)
-        assert gateway.may_sleep_until_s <= (times_s or [now_s])[-1] + 6e-3 + 1e-9
+        assert gateway.may_sleep_until_s <= (times_s or [now_s])[-1] + 4.1e-3 + 1e-9
     assert 240 <= len(times_s) <= 253
     assert np.quantile(ages_s[100:], 0.9) < 0.9e-3
-    assert np.quantile(ages_s[15:100], 0.9) < 0.9e-3  # soon
     assert busy == 40 or np.quantile(ages_s[100:], 0.1) > 0.2e-3
     assert gateway.due_s <= now_s + 0.1
 
