@@ -148,6 +148,7 @@ def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, p
     except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
+    fabric.clock()  # what is known of it is among the messages
     follow_calibration(fabric, recorder.take_file, stop)
 
 

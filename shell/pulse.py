@@ -68,6 +68,7 @@ class Pulse:
 
 
 def _status(fabric: Fabric, made: int) -> ServiceStatus:
+    clock_offset_ns, clock_error_ns = fabric.clock_ns
     is_thread = isinstance(threading.current_thread(), ServiceThread)
     return ServiceStatus(
         time_ns=time.time_ns(),
@@ -78,6 +79,8 @@ def _status(fabric: Fabric, made: int) -> ServiceStatus:
         missed=sum(fabric.missed.counts().values()),
         overruns=fabric.overruns,
         made=made,
+        clock_offset_ns=clock_offset_ns,
+        clock_error_ns=clock_error_ns,
     )
 
 

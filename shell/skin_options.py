@@ -18,6 +18,7 @@ from canskin.keys import accepts, environment_keys
 from canskin.peers import GATEWAYS, Peer
 from canskin.roles import Action, refusal
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open, peers_at
+from canskin.skin_clock import TIME, time_reply
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -196,6 +197,7 @@ def join(
             check_bytes(len(told.toml), LayoutError, f"the text of layout '{layout.name}'")
             fabric.answer(LAYOUT, lambda _request, reply: reply(told))
             fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
+            fabric.answer(TIME, lambda _request, reply: reply(time_reply()))
         prepare(fabric)
 
     return Fabric(

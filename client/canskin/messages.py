@@ -567,6 +567,9 @@ class ServiceStatus(Told, frozen=True, kw_only=True):
         Messages that came, and were replaced by newer ones because the service was too slow for them.
     made : int
         What it is there for: measurements, images, labels, frames of nodes, recorded frames and messages; 0 of others.
+    clock_offset_ns, clock_error_ns : int
+        How far the monotonic clock of the gateway's machine is ahead, and the bound of the error; `UNKNOWN_ERROR_NS` if
+        unknown, or if the service needs no other clock than its own.
     """
 
     time_ns: int
@@ -577,6 +580,8 @@ class ServiceStatus(Told, frozen=True, kw_only=True):
     missed: int = 0
     overruns: int = 0
     made: int = 0
+    clock_offset_ns: int = 0
+    clock_error_ns: int = UNKNOWN_ERROR_NS
 
 
 class Topic(msgspec.Struct, frozen=True):
