@@ -20,7 +20,7 @@ from canskin.errors import InputError
 from dbc.canopen import EXTENDED_ID_MASK
 from dbc.frame import Frames, frames
 from dbc.stored_frames import from_bytes
-from recording import is_recording
+from recording import file_of, is_recording
 from skin.layout import Layout
 
 #: Largest time stamp, seconds since the epoch: in 2261, a year before nanoseconds end that 64 bits hold.
@@ -50,7 +50,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     warn : callable
         Receives a line of text for each cause why the log is not whole, and where its times jump.
     """
-    if not path.is_file():
+    if not file_of(path).is_file():
         raise InputError(f"{path}: no such log")
     if is_recording(path):
         return _read_recording(path, warn)

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
@@ -181,7 +183,7 @@ class _Recorded:
         message = decode(entry.data)
         if entry.topic == MEASUREMENT.name:
             self._check(message)
-            self._add(MeasurementStep(entry.time_ns, message))
+            self._add(MeasurementStep(entry.time_ns, msgspec.structs.replace(message, duty="")))  # who is not here now
         elif entry.topic == IMAGE.name:
             self._images.keep(message)
         elif entry.topic == LABEL.name:

@@ -17,7 +17,17 @@ from canskin.fabric import Fabric
 from canskin.keys import accepts, environment_keys
 from canskin.peers import GATEWAYS, Peer
 from canskin.roles import Action, refusal
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open, peers_at
+from canskin.session import (
+    DEFAULT_ENDPOINT,
+    LOOK_S,
+    Stop,
+    Words,
+    checked,
+    find_skin,
+    is_loopback,
+    is_open,
+    peers_at,
+)
 from canskin.skin_clock import TIME, time_reply
 from recording import is_recording
 from skin.description import describe
@@ -87,12 +97,25 @@ class SkinOptions:
         given = self.layout
         if given is None and is_recording(recording):
             given = recording
-        if given is None and (needs_hub or self.connect or self.skin or (not recording and is_told(self.endpoint))):
+        if given is None and (needs_hub or self.connect or self.skin or (not recording and told_skins(self.endpoint))):
             return hub_layout(self.endpoint, self.skin, stop, patience_s=PATIENCE_S, service=service)
         layout = load_layout(given)
         if self.skin not in {None, layout.name}:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
         return layout
+
+    def find_all(self, service: str, stop: Stop) -> list[Layout]:
+        """Return the layouts of all skins on the hub, by name; with an option that names a skin that of the skin.
+
+        Raises as `find`.
+        """
+        if self.layout is not None or self.skin is not None:
+            return [self.find(service, stop)]
+        words = _WORDS._replace(service=service)
+        found = find_skin(self.endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=words, stop=stop, is_one=False)
+        return [
+            hub_layout(self.endpoint, name, stop, service=service) for name in sorted({each.skin for each in found})
+        ]
 
     def require_right(self, action: Action, name: str) -> None:
         """Raise DeniedError if the role of the keys may not do an action, before a skin is looked for."""
@@ -227,17 +250,16 @@ def hub_layout(
         return _told(fabric, peer, endpoint, patience_s)
 
 
-def is_told(endpoint: str) -> bool:
-    """Tell whether a layout is told at an endpoint now."""
-
-    def is_known(peers: list[Peer]) -> bool:
-        return any(map(knows_layout, peers))
-
+def told_skins(endpoint: str) -> list[str]:
+    """Return the names of the skins whose layout is told at an endpoint now; none, and no wait, without a hub."""
     try:
         endpoint, keys = checked(endpoint, environment_keys())
-        return accepts(endpoint) and is_known(peers_at(endpoint, GLANCE_S, is_known, keys=keys))
+        if not accepts(endpoint):
+            return []
+        peers = peers_at(endpoint, GLANCE_S, lambda found: any(map(knows_layout, found)), keys=keys)
     except BusError:
-        return False
+        return []
+    return sorted({peer.skin for peer in peers if knows_layout(peer)})
 
 
 def knows_layout(peer: Peer) -> bool:
