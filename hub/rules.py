@@ -45,7 +45,7 @@ def access_control(folder: Path) -> dict[str, Any]:
         skin, role, _ = parts_of(common_name)
         if role in ROLES or role == HUB:
             names[_REVOKED if common_name in holders.revoked else f"{skin}:{role}"].append(common_name)
-    if not names:
+    if all(group.endswith(f":{HUB}") for group in names):
         raise InputError(f"{folder}: the list has no holder of keys: 'skin keys add'")
     rules, policies = [], []
     for group in names:
