@@ -17,7 +17,17 @@ from canskin.fabric import Fabric
 from canskin.keys import accepts, environment_keys
 from canskin.peers import GATEWAYS, Peer
 from canskin.roles import Action, refusal
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open, peers_at
+from canskin.session import (
+    DEFAULT_ENDPOINT,
+    LOOK_S,
+    Stop,
+    Words,
+    checked,
+    find_skin,
+    is_loopback,
+    is_open,
+    peers_at,
+)
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -92,6 +102,19 @@ class SkinOptions:
         if self.skin not in {None, layout.name}:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
         return layout
+
+    def find_all(self, service: str, stop: Stop) -> list[Layout]:
+        """Return the layouts of all skins on the hub, by name; with an option that names a skin that of the skin.
+
+        Raises as `find`.
+        """
+        if self.layout is not None or self.skin is not None:
+            return [self.find(service, stop)]
+        words = _WORDS._replace(service=service)
+        found = find_skin(self.endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=words, stop=stop, is_one=False)
+        return [
+            hub_layout(self.endpoint, name, stop, service=service) for name in sorted({each.skin for each in found})
+        ]
 
     def require_right(self, action: Action, name: str) -> None:
         """Raise DeniedError if the role of the keys may not do an action, before a skin is looked for."""

@@ -423,19 +423,22 @@ def test_services_of_one_process_share_a_session_and_others_hear_each_message_on
     heard = threading.Event()
     gateway.subscribe(MARK, lambda _: heard.set())
     send_until_heard(outside, heard, MARK, Mark(label="ring"))
-    sent, told = image(1), label(1)
-    for publisher in (gateway, outside):
+    for cycle, publisher in enumerate((gateway, outside), 1):
+        sent, told = image(cycle, sampled_mono_ns=cycle), label(cycle, sampled_mono_ns=cycle)
         publisher.publish(IMAGE, sent)
         publisher.publish(LABEL, told)
         here, there = own.get(PATIENCE_S), other.get(PATIENCE_S)
         assert here == there == sent
         assert (here is sent) is (publisher is gateway)  # handed over as it is
         assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == told
-    gateway.publish(IMAGE, image(2))
-    gateway.publish(LABEL, label(2))
+    for late in (1, 2, 3):  # what is no newer than that of another publisher is refused
+        gateway.publish(IMAGE, image(9, sampled_mono_ns=late))
+        gateway.publish(LABEL, label(9, sampled_mono_ns=late))
     for newest in (own.get(PATIENCE_S), other.get(PATIENCE_S)):  # none came twice
-        assert newest == image(2)
-    assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == label(2)
+        assert newest == image(9, sampled_mono_ns=3)
+    newest_label = label(9, sampled_mono_ns=3)
+    assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == newest_label
+    assert (page.late, outside.late) == (4, 4)
     gateway.answer(CALIBRATION, lambda _request, reply: reply(CalibrationReply(is_done=True, text="")))
     assert page.ask(CALIBRATION, CalibrationRequest(action="tare"), PATIENCE_S).is_done
     assert {each.service for each in outside.peers()} == {"maker", "page", "outside"}
