@@ -56,6 +56,7 @@ class Kernel(SocketCanLink):
 
     def __init__(self) -> None:
         super().__init__("test")
+        self.reported = State.ACTIVE
 
     def _open(self) -> socket.socket:
         near, self.far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -64,8 +65,9 @@ class Kernel(SocketCanLink):
 
     def put(self, came: Frames, state: State, dropped: int) -> None:
         report = bytes((0, {State.ACTIVE: 0x40, State.WARNING: 0x08, State.PASSIVE: 0x20}.get(state, 0), *bytes(6)))
-        if state is not self.state:
+        if state is not self.reported:
             self.far.send(struct.pack("=IB3x8s", 0x20000040 if state is State.BUS_OFF else 0x20000004, 8, report))
+        self.reported = state
         for row in frame_bytes(came[came["flags"] & ECHO == 0])[:100]:
             self.far.send(row[CAN_ID_AT : CAN_ID_AT + 16].tobytes())
         self._told[DROPPED] = dropped
