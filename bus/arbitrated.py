@@ -158,7 +158,8 @@ class ArbitratedLink(ReconnectingLink):
                 waited_s = time.monotonic() - since_s
                 if waited_s >= wait_s:
                     raise BusError(
-                        f"no bus '{self.channel}' at {self._path} ({error.strerror or error}): start it with 'skin bus'"
+                        f"no bus '{self.channel}' at {self._path} ({error.strerror or error}):"
+                        " start it with 'skin bus' or 'skin nodes'"
                     ) from error
             if waited_s > SILENT_S and not said:
                 say(self._hello.name, f"waits for bus '{self.channel}'")

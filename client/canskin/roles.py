@@ -54,7 +54,7 @@ ROLES: Final = {
         "skin gateway: gives the sums of the boards, and has the zero of its skin",
         ("gateway",),
         put=(MEASUREMENT, GATEWAY, SERVICES),
-        subscribe=(MEASUREMENT,),
+        subscribe=(MEASUREMENT, CONTACTS, LABEL, SERVICES),
         answer=QUESTIONS,
     ),
     "nodes": Role(
@@ -67,7 +67,7 @@ ROLES: Final = {
         "skin reconstruct: makes images and contacts of the sums",
         ("reconstructor",),
         put=(IMAGE, CONTACTS, SERVICES),
-        subscribe=(MEASUREMENT, IMAGE),
+        subscribe=(MEASUREMENT, IMAGE, CONTACTS),
         ask=(LAYOUT,),
     ),
     "classifier": Role(
@@ -81,7 +81,7 @@ ROLES: Final = {
         "skin run: gateway and reconstructor in one process",
         ("gateway", "reconstructor"),
         put=(MEASUREMENT, GATEWAY, IMAGE, CONTACTS, SERVICES),
-        subscribe=(MEASUREMENT, IMAGE),
+        subscribe=(MEASUREMENT, IMAGE, CONTACTS, LABEL, SERVICES),
         ask=(LAYOUT,),
         answer=QUESTIONS,
     ),

@@ -381,6 +381,7 @@ def find_skin(
     words: Words = Words(),  # noqa: B008 - immutable
     stop: Stop | None = None,
     keys: Keys | None = None,
+    is_one: bool = True,
 ) -> list[Peer]:
     """Return the services of a skin on a hub that know the skin.
 
@@ -396,6 +397,8 @@ def find_skin(
         If set meanwhile, `canskin.errors.Stopped` is raised.
     keys : Keys, optional
         Default: see `environment_keys`.
+    is_one : bool
+        Whether several skins are an error where none is named; else the services of all skins are returned.
 
     Raises
     ------
@@ -411,8 +414,8 @@ def find_skin(
 
     peers = peers_at(endpoint, patience_s, is_found, words.address, stop, keys=keys, service=words.service)
     skins = known(peers)
-    if wanted in skins or (wanted is None and len(skins) == 1):
-        return [peer for peer in peers if peer.skin == (wanted or skins[0]) and knows(peer)]
+    if wanted in skins or (wanted is None and skins and (len(skins) == 1 or not is_one)):
+        return [peer for peer in peers if wanted in {None, peer.skin} and knows(peer)]
     found = ", ".join(f"'{name}'" for name in skins)
     if wanted is None and skins:
         raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: {words.name}")
