@@ -171,6 +171,7 @@ class _Part:
         except (BusError, LayoutError) as error:
             say("record", f"frames alone: {error}")
             return
+        fabric.clock()  # what is known of it is among the messages
         follow_calibration(fabric, recorder.take_file, self._stop)
 
 
