@@ -17,7 +17,18 @@ from canskin.fabric import Fabric
 from canskin.keys import accepts, environment_keys
 from canskin.peers import GATEWAYS, Peer
 from canskin.roles import Action, refusal
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open, peers_at
+from canskin.session import (
+    DEFAULT_ENDPOINT,
+    LOOK_S,
+    Stop,
+    Words,
+    checked,
+    find_skin,
+    find_skins,
+    is_loopback,
+    is_open,
+    peers_at,
+)
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -48,7 +59,8 @@ class SkinOptions:
     connect
         Endpoint of the fabric's hub, usually the gateway; default: a socket that only this user may open.
     skin
-        Name of the skin, where the hub has several, see ``skin list``.
+        Name of the skin, where the hub has several, see ``skin list``; ``skin reconstruct`` and ``skin classify`` take
+        all of them.
     """
 
     layout: Path | None = None
@@ -208,6 +220,11 @@ def join(
         patience_s=patience_s,
         prepare=describe_it,
     )
+
+
+def await_skins(endpoint: str, service: str, stop: Stop) -> None:
+    """Wait for the hub, and for a skin there; raise BusError if none comes in `SERVICE_PATIENCE_S`."""
+    find_skins(endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=_WORDS._replace(service=service), stop=stop)
 
 
 def hub_layout(

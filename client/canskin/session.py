@@ -402,6 +402,24 @@ def find_skin(
     BusError
         If there is no such hub or skin in time, or several skins are there and none is named.
     """
+    found = find_skins(endpoint, wanted, patience_s, knows, words=words, stop=stop, keys=keys)
+    if len(skins := sorted({peer.skin for peer in found})) > 1:
+        names = ", ".join(f"'{name}'" for name in skins)
+        raise BusError(f"several skins at {endpoint}: {names}; expected the name of one of them: {words.name}")
+    return found
+
+
+def find_skins(
+    endpoint: str,
+    wanted: str | None,
+    patience_s: float,
+    knows: Callable[[Peer], bool],
+    *,
+    words: Words = Words(),  # noqa: B008 - immutable
+    stop: Stop | None = None,
+    keys: Keys | None = None,
+) -> list[Peer]:
+    """Return the services on a hub that know a skin, of several skins if none is named; see `find_skin`."""
 
     def known(peers: list[Peer]) -> list[str]:
         return sorted({peer.skin for peer in peers if knows(peer)})
@@ -410,12 +428,9 @@ def find_skin(
         return wanted in known(peers) if wanted else bool(known(peers))
 
     peers = peers_at(endpoint, patience_s, is_found, words.address, stop, keys=keys, service=words.service)
-    skins = known(peers)
-    if wanted in skins or (wanted is None and len(skins) == 1):
-        return [peer for peer in peers if peer.skin == (wanted or skins[0]) and knows(peer)]
-    found = ", ".join(f"'{name}'" for name in skins)
-    if wanted is None and skins:
-        raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: {words.name}")
+    if is_found(peers):
+        return [peer for peer in peers if wanted in {None, peer.skin} and knows(peer)]
+    found = ", ".join(f"'{name}'" for name in known(peers))
     looked_for = f"no skin '{wanted}'" if wanted else "no skin"
     found = found or ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
     raise BusError(f"{looked_for} at {endpoint}, found {found or 'no service'}: {words.advice}")
