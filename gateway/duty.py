@@ -39,15 +39,17 @@ class _Candidate:
     heard_s: float
     keys: set[str] = field(default_factory=set)
     load_ratio: float = 0.0
-    made: int = 0
+    made: int | None = None
     #: Processor time of a result.
     cost_s: float = 0.0
     works: bool = True
 
     def take(self, status: ServiceStatus, now_s: float) -> None:
         """Take what the service tells of itself."""
-        self.works, more = status.made > self.made, max(1, status.made - self.made)
-        self.cost_s = status.load_ratio * (now_s - self.heard_s) / more
+        if self.made is not None:
+            more = status.made - self.made
+            self.works = more > 0
+            self.cost_s = status.load_ratio * (now_s - self.heard_s) / max(1, more)
         self.heard_s, self.made, self.load_ratio = now_s, status.made, status.load_ratio
 
     def is_fit(self, now_s: float) -> bool:

@@ -1,0 +1,187 @@
+"""Skins without boards, and workers that are killed or stopped while they serve them.
+
+``python -m tests.system.many_skins`` does it a hundred times, and prints the losses; ``... gateways ENDPOINT SIDE RATE_HZ
+NAME...`` runs the gateways alone: each publishes sums of a ball that moves on SIDE x SIDE taxels.
+"""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from canskin.fabric import Fabric, Rising
+from canskin.messages import IMAGE, MEASUREMENT, SERVICES, CycleMeasurement, Image, ServiceStatus
+from gateway.duty import Duties
+from shell.service import StopSignal
+from shell.skin_options import join
+from skin.layout import Layout
+from tests.layouts import any_layout
+from tests.messages import counter_of, measurement
+from tests.processes import PATIENCE_S, Processes, free_endpoint
+
+SIDE: Final = 16
+RATE_HZ: Final = 100.0
+#: How long a worker is stopped.
+STOPPED_S: Final = 0.6
+
+
+def measurements(layout: Layout) -> list[CycleMeasurement]:
+    """Return the sums of a ball that goes round once in 100 cycles, with noise."""
+    phi, rng, taxels = layout.phi(), np.random.default_rng(1), layout.taxels
+    place = np.stack(np.indices((taxels.rows, taxels.columns)), axis=-1)
+    valid = np.ones(phi.blocks, np.uint8).tobytes()
+    made = []
+    for cycle in range(100):
+        angle = 2 * np.pi * cycle / 100
+        centre = taxels.rows / 2 + taxels.rows / 4 * np.array((np.cos(angle), np.sin(angle)))
+        force_n = 0.01 * np.exp(-((place - centre) ** 2).sum(axis=-1) / 8) + rng.normal(0, 2e-4, place.shape[:2])
+        counts = np.rint(force_n.clip(0) / taxels.newton_per_count).astype(np.int32)
+        sums = np.asarray(phi.forward(counts.ravel()), "<i4").tobytes()
+        made.append(measurement(sums=sums, valid=valid, fingerprint=phi.fingerprint))
+    return made
+
+
+def serve_gateways(endpoint: str, side: int, rate_hz: float, names: list[str]) -> None:
+    """Publish the measurements of skins until a signal comes; the first gateway is the hub."""
+    stop, skins = StopSignal().install(), []
+    with ExitStack() as stack:
+        for name in names:
+            layout = any_layout(side, side, name=name, sync={"rate_hz": rate_hz})
+            fabric = stack.enter_context(closing(join(layout, "gateway", endpoint, hub=not skins)))
+            duties = Duties(fabric, name, layout.operator().fingerprint, lambda text, name=name: print(name, text))
+            skins.append((fabric, duties, measurements(layout)))
+        print("up", flush=True)
+        cycle, due_s, late = 0, time.monotonic(), 0
+        while not stop.is_set():
+            cycle, due_s = cycle + 1, due_s + 1 / rate_hz
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            if time.monotonic() - due_s > 5 / rate_hz:
+                due_s, late = time.monotonic(), late + 1
+            for fabric, duties, made in skins:
+                duties.turn(time.monotonic())
+                told = made[cycle % len(made)]
+                about: dict[str, Any] = {name: getattr(told, name) for name in ("sums", "valid", "fingerprint")}
+                about |= {"cycle": cycle, "sync_counter": counter_of(cycle), "sampled_mono_ns": time.monotonic_ns()}
+                fabric.publish(MEASUREMENT, CycleMeasurement(**about, duty=duties.words))
+                duties.sent(time.monotonic())
+        print("cycles", cycle, "late", late, "processor_s", time.process_time(), flush=True)
+
+
+class Reader:
+    """Keeps when each image of a skin came, all of them, and which of them a reader takes."""
+
+    def __init__(self, fabric: Fabric) -> None:
+        self.images: Counter[int] = Counter()
+        self.taken: list[tuple[float, int]] = []
+        self.late = 0
+        self._rising = Rising()
+        self._came = threading.Condition()
+        fabric.subscribe_bytes(IMAGE, lambda content, origin: self._take(content, origin))
+        fabric.subscribe(SERVICES, self._note)
+        self._told: dict[str, float] = {}
+        self._decode = IMAGE.decoder()
+
+    def _take(self, content: bytes, origin: Any) -> None:
+        image: Image = self._decode(content)
+        now_s = time.monotonic()
+        with self._came:
+            self.images[image.cycle] += 1
+            if TAKES(self._rising, origin.publisher, image.sampled_mono_ns, now_s):
+                self.taken.append((now_s, image.cycle))
+            else:
+                self.late += 1
+            self._came.notify_all()
+
+    def _note(self, status: ServiceStatus) -> None:
+        with self._came:
+            self._told[status.instance] = time.monotonic()
+            self._came.notify_all()
+
+    def await_image(self, after_s: float) -> None:
+        """Wait for an image that comes after an instant."""
+        with self._came:
+            assert self._came.wait_for(lambda: bool(self.taken) and self.taken[-1][0] > after_s, PATIENCE_S)
+
+    def await_two(self, after_s: float) -> None:
+        """Wait until two reconstructors have told of themselves after an instant."""
+        with self._came:
+            assert self._came.wait_for(lambda: sum(each > after_s for each in self._told.values()) >= 2, PATIENCE_S)
+
+
+#: What the fabric does, which lets all pass here.
+TAKES: Final = Rising.takes
+
+
+def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[str], seed: int = 1) -> dict[str, Any]:
+    """Have two workers serve skins, let a fault befall one of them each time, and return what readers saw."""
+    rng = random.Random(seed)
+    processes.start("gateways", *GATEWAYS, endpoint, str(SIDE), str(RATE_HZ), *names)
+    processes.await_words("gateways", "up")
+    Rising.takes = lambda *_: True  # type: ignore[method-assign]  # each image is seen, and judged here
+    try:
+        with ExitStack() as stack:
+            fabrics = [stack.enter_context(closing(Fabric(name, "", endpoint))) for name in names]
+            readers = [Reader(fabric) for fabric in fabrics]
+            workers = ["worker 0", "worker 1"]
+            for name in workers:
+                processes.skin(name, "reconstruct", "--connect", endpoint, "--priority", "normal")
+            begun_s = time.monotonic()
+            for reader in readers:
+                reader.await_image(begun_s)
+            started_s = time.monotonic()
+            for fault in faults:
+                for reader in readers:
+                    reader.await_two(started_s)
+                name = rng.choice(workers)
+                time.sleep(rng.random() / RATE_HZ)
+                started_s = time.monotonic()
+                if fault == "kill":
+                    processes.stop(name, signal.SIGKILL)
+                    for reader in readers:
+                        reader.await_image(started_s)
+                    processes.skin(name, "reconstruct", "--connect", endpoint, "--priority", "normal")
+                else:
+                    processes.send_signal(name, signal.SIGSTOP)
+                    time.sleep(STOPPED_S)
+                    processes.send_signal(name, signal.SIGCONT)
+                    started_s = time.monotonic()
+                    for reader in readers:
+                        reader.await_image(started_s)
+            for reader in readers:
+                reader.await_two(started_s)
+    finally:
+        Rising.takes = TAKES  # type: ignore[method-assign]
+    gaps_s = [float(np.diff([at_s for at_s, _ in each.taken]).max()) for each in readers]
+    cycles = [[cycle for _, cycle in each.taken] for each in readers]
+    return {
+        "faults": len(faults),
+        "longest_gap_s": [round(gap_s, 3) for gap_s in gaps_s],
+        "doubled": sum(count > 1 for each in readers for count in each.images.values()),
+        "images": sum(map(len, cycles)),
+        "missing": sum(each[-1] - each[0] + 1 - len(each) for each in cycles),
+        "late": sum(each.late for each in readers),
+    }
+
+
+GATEWAYS: Final = (sys.executable, "-m", "tests.system.many_skins", "gateways")
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["gateways"]:
+        serve_gateways(sys.argv[2], int(sys.argv[3]), float(sys.argv[4]), sys.argv[5:])
+    else:
+        count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+        with tempfile.TemporaryDirectory() as folder, Processes(Path(folder)) as processes:
+            faults = ["kill" if number % 2 else "stop" for number in range(count)]
+            names = [f"skin{number}" for number in range(8)]
+            print(json.dumps(disturb(processes, free_endpoint(), names, faults)))
+            print(processes.log("gateways").read_text())
