@@ -1,13 +1,12 @@
 """Skins without boards, and workers that are killed or stopped while they serve them.
 
-``python -m tests.system.many_skins`` does it a hundred times, and prints the losses; ``... gateways ENDPOINT SIDE RATE_HZ
-NAME...`` runs the gateways alone: each publishes sums of a ball that moves on SIDE x SIDE taxels.
+``python -m tests.system.many_skins`` does it a hundred times, and prints the losses; ``... gateways ENDPOINT SIDE
+RATE_HZ NAME...`` runs the gateways alone: each publishes sums of a ball that moves on SIDE x SIDE taxels.
 """
 
 import json
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -31,8 +30,8 @@ from tests.processes import PATIENCE_S, Processes, free_endpoint
 
 SIDE: Final = 16
 RATE_HZ: Final = 100.0
-#: How long a worker is stopped.
-STOPPED_S: Final = 0.6
+#: For how long a worker is stopped.
+STOPPED_CYCLES: Final = 60
 
 
 def measurements(layout: Layout) -> list[CycleMeasurement]:
@@ -86,7 +85,7 @@ class Reader:
         self.late = 0
         self._rising = Rising()
         self._came = threading.Condition()
-        fabric.subscribe_bytes(IMAGE, lambda content, origin: self._take(content, origin))
+        fabric.subscribe_bytes(IMAGE, self._take)
         fabric.subscribe(SERVICES, self._note)
         self._told: dict[str, float] = {}
         self._decode = IMAGE.decoder()
@@ -107,10 +106,11 @@ class Reader:
             self._told[status.instance] = time.monotonic()
             self._came.notify_all()
 
-    def await_image(self, after_s: float) -> None:
-        """Wait for an image that comes after an instant."""
+    def await_images(self, cycles: int) -> None:
+        """Wait for the image of a cycle that is so much later than the newest."""
         with self._came:
-            assert self._came.wait_for(lambda: bool(self.taken) and self.taken[-1][0] > after_s, PATIENCE_S)
+            until = cycles + (self.taken[-1][1] if self.taken else 0)
+            assert self._came.wait_for(lambda: bool(self.taken) and self.taken[-1][1] >= until, PATIENCE_S)
 
     def await_two(self, after_s: float) -> None:
         """Wait until two reconstructors have told of themselves after an instant."""
@@ -125,6 +125,10 @@ TAKES: Final = Rising.takes
 def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[str], seed: int = 1) -> dict[str, Any]:
     """Have two workers serve skins, let a fault befall one of them each time, and return what readers saw."""
     rng = random.Random(seed)
+
+    def start(name: str) -> None:
+        processes.skin(name, "reconstruct", "--connect", endpoint, "--priority", "normal")
+
     processes.start("gateways", *GATEWAYS, endpoint, str(SIDE), str(RATE_HZ), *names)
     processes.await_words("gateways", "up")
     Rising.takes = lambda *_: True  # type: ignore[method-assign]  # each image is seen, and judged here
@@ -134,12 +138,11 @@ def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[
             readers = [Reader(fabric) for fabric in fabrics]
             workers = ["worker 0", "worker 1"]
             for name in workers:
-                processes.skin(name, "reconstruct", "--connect", endpoint, "--priority", "normal")
-            begun_s = time.monotonic()
-            for reader in readers:
-                reader.await_image(begun_s)
+                start(name)
             started_s = time.monotonic()
             for fault in faults:
+                if not processes.runs(name):
+                    start(name)
                 for reader in readers:
                     reader.await_two(started_s)
                 name = rng.choice(workers)
@@ -147,18 +150,13 @@ def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[
                 started_s = time.monotonic()
                 if fault == "kill":
                     processes.stop(name, signal.SIGKILL)
-                    for reader in readers:
-                        reader.await_image(started_s)
-                    processes.skin(name, "reconstruct", "--connect", endpoint, "--priority", "normal")
                 else:
                     processes.send_signal(name, signal.SIGSTOP)
-                    time.sleep(STOPPED_S)
+                for reader in readers:
+                    reader.await_images(STOPPED_CYCLES)
+                if fault == "stop":
                     processes.send_signal(name, signal.SIGCONT)
                     started_s = time.monotonic()
-                    for reader in readers:
-                        reader.await_image(started_s)
-            for reader in readers:
-                reader.await_two(started_s)
     finally:
         Rising.takes = TAKES  # type: ignore[method-assign]
     gaps_s = [float(np.diff([at_s for at_s, _ in each.taken]).max()) for each in readers]
