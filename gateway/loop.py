@@ -170,6 +170,10 @@ class GatewayLoop:
         bus, batch = self._buses[number], batch_of(arrived, number, self._table)
         bus.health.look(state, dropped, stamp_error_ns, tells_loss=batch.tells_loss)
         bus.watch.look(state)
+        if bus.health.has_returned:
+            for node in bus.master.nodes.values():
+                node.take_replugged(now_s)
+            self._trust(bus)
         if not len(arrived) and not bus.health.has_gap:
             return False
         bus.outgoing.take(batch.echoes, has_gap=bus.health.has_gap)

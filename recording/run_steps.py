@@ -78,7 +78,7 @@ def steps_of(
     """
     warn = partial(say, "replay")
     if not is_recording(path):
-        return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator)
+        return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator, warn)
     topics = read_topics(path)
     is_measured = MEASUREMENT.name in topics
     if calibrator is not None and is_measured:
@@ -109,7 +109,9 @@ def frames_of_log(layout: Layout, path: Path, channel: list[str] | None, warn: W
     return of_buses(layout, names, read_log(path, warn), path, named_by_user=bool(channel))
 
 
-def _logged(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrator | None) -> Iterator[Step]:
+def _logged(
+    contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrator | None, warn: Warn
+) -> Iterator[Step]:
     pace = StatusPace()
     for part in play(contract, logged, calibrator):
         for bus, seen in part.frames.items():
@@ -121,6 +123,8 @@ def _logged(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibr
                 yield MessageStep(each.time_ns, GATEWAY, part.status)
     if contract.layout.sends.in_cycles:
         check_named(part.status)
+        if not part.status.cycles_complete:
+            warn(f"none of {part.status.cycles} cycles is complete: is a board missing, or have the buses two clocks?")
 
 
 class _Recorded:

@@ -24,7 +24,6 @@ from canskin.session import (
     Words,
     checked,
     find_skin,
-    find_skins,
     is_loopback,
     is_open,
     peers_at,
@@ -104,6 +103,19 @@ class SkinOptions:
         if self.skin not in {None, layout.name}:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
         return layout
+
+    def find_all(self, service: str, stop: Stop) -> list[Layout]:
+        """Return the layouts of all skins on the hub, by name; with an option that names a skin that of the skin.
+
+        Raises as `find`.
+        """
+        if self.layout is not None or self.skin is not None:
+            return [self.find(service, stop)]
+        words = _WORDS._replace(service=service)
+        found = find_skin(self.endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=words, stop=stop, is_one=False)
+        return [
+            hub_layout(self.endpoint, name, stop, service=service) for name in sorted({each.skin for each in found})
+        ]
 
     def require_right(self, action: Action, name: str) -> None:
         """Raise DeniedError if the role of the keys may not do an action, before a skin is looked for."""
@@ -224,7 +236,8 @@ def join(
 
 def await_skins(endpoint: str, service: str, stop: Stop) -> None:
     """Wait for the hub, and for a skin there; raise BusError if none comes in `SERVICE_PATIENCE_S`."""
-    find_skins(endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=_WORDS._replace(service=service), stop=stop)
+    words = _WORDS._replace(service=service)
+    find_skin(endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=words, stop=stop, is_one=False)
 
 
 def hub_layout(

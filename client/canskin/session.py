@@ -381,6 +381,7 @@ def find_skin(
     words: Words = Words(),  # noqa: B008 - immutable
     stop: Stop | None = None,
     keys: Keys | None = None,
+    is_one: bool = True,
 ) -> list[Peer]:
     """Return the services of a skin on a hub that know the skin.
 
@@ -396,30 +397,14 @@ def find_skin(
         If set meanwhile, `canskin.errors.Stopped` is raised.
     keys : Keys, optional
         Default: see `environment_keys`.
+    is_one : bool
+        Whether several skins are an error where none is named; else the services of all skins are returned.
 
     Raises
     ------
     BusError
         If there is no such hub or skin in time, or several skins are there and none is named.
     """
-    found = find_skins(endpoint, wanted, patience_s, knows, words=words, stop=stop, keys=keys)
-    if len(skins := sorted({peer.skin for peer in found})) > 1:
-        names = ", ".join(f"'{name}'" for name in skins)
-        raise BusError(f"several skins at {endpoint}: {names}; expected the name of one of them: {words.name}")
-    return found
-
-
-def find_skins(
-    endpoint: str,
-    wanted: str | None,
-    patience_s: float,
-    knows: Callable[[Peer], bool],
-    *,
-    words: Words = Words(),  # noqa: B008 - immutable
-    stop: Stop | None = None,
-    keys: Keys | None = None,
-) -> list[Peer]:
-    """Return the services on a hub that know a skin, of several skins if none is named; see `find_skin`."""
 
     def known(peers: list[Peer]) -> list[str]:
         return sorted({peer.skin for peer in peers if knows(peer)})
@@ -428,9 +413,12 @@ def find_skins(
         return wanted in known(peers) if wanted else bool(known(peers))
 
     peers = peers_at(endpoint, patience_s, is_found, words.address, stop, keys=keys, service=words.service)
-    if is_found(peers):
+    skins = known(peers)
+    if wanted in skins or (wanted is None and skins and (len(skins) == 1 or not is_one)):
         return [peer for peer in peers if wanted in {None, peer.skin} and knows(peer)]
-    found = ", ".join(f"'{name}'" for name in known(peers))
+    found = ", ".join(f"'{name}'" for name in skins)
+    if wanted is None and skins:
+        raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: {words.name}")
     looked_for = f"no skin '{wanted}'" if wanted else "no skin"
     found = found or ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
     raise BusError(f"{looked_for} at {endpoint}, found {found or 'no service'}: {words.advice}")

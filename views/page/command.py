@@ -14,8 +14,8 @@ from starlette.applications import Starlette
 
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE
-from recording import RECORDING_SUFFIX, is_recording
-from recording.mcap_file import read_topics
+from recording import RECORDING_SUFFIX, file_of, is_recording
+from recording.mcap_file import part_of, read_topics
 from shell.command import WRONG_INPUT
 from shell.pulse import Pulse
 from shell.service import StopSignal, listen, say
@@ -74,8 +74,8 @@ def view(
         raise InputError(f"--recordings {recordings}: expected a folder that exists")
     with listen(host, port) as listener, ExitStack() as closes:
         if recording is not None:
-            if of.connect or of.skin:
-                raise InputError("a recording has no hub: leave --connect and --skin out")
+            if of.connect:
+                raise InputError("a recording has no hub: leave --connect out")
             playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
             _serve(build_app(playback, access, playback_actions(playback)), access, listener, pulse)
             return
@@ -92,8 +92,9 @@ def view(
 
 def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
     """Return the playback of a recording; of one without images, that of its replay, which is made in `folder`."""
-    if not recording.is_file():
+    if not file_of(recording).is_file():
         raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
+    recording = part_of(recording, of.skin)
     layout = of.find(recording=recording, needs_hub=False)
     if not is_recording(recording) or IMAGE.name not in read_topics(recording):
         made, given = folder / f"{recording.stem}{RECORDING_SUFFIX}", ["--layout", str(of.layout)] if of.layout else []
