@@ -72,6 +72,10 @@ class Processes:
             process.wait()
             raise
 
+    def number(self, name: str) -> int:
+        """Return the number of a process."""
+        return self._running[name].pid
+
     def runs(self, name: str) -> bool:
         """Tell whether a process was started, and not stopped since."""
         return name in self._running

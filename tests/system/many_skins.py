@@ -1,12 +1,14 @@
 """Skins without boards, and workers that are killed or stopped while they serve them.
 
-``python -m tests.system.many_skins`` does it a hundred times, and prints the losses; ``... gateways ENDPOINT SIDE
+``python -m tests.system.many_skins 100 kill stop`` does both a hundred times in all, and prints the losses; ``unshare
+-Urn sh -c "ip link set lo up; python -m tests.system.many_skins 20 cut"`` cuts them off; ``... gateways ENDPOINT SIDE
 RATE_HZ NAME...`` runs the gateways alone: each publishes sums of a ball that moves on SIDE x SIDE taxels.
 """
 
 import json
 import random
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
@@ -73,7 +75,7 @@ def serve_gateways(endpoint: str, side: int, rate_hz: float, names: list[str]) -
                 about |= {"cycle": cycle, "sync_counter": counter_of(cycle), "sampled_mono_ns": time.monotonic_ns()}
                 fabric.publish(MEASUREMENT, CycleMeasurement(**about, duty=duties.words))
                 duties.sent(time.monotonic())
-        print("cycles", cycle, "late", late, "processor_s", time.process_time(), flush=True)
+        print("cycles", cycle, "late", late, flush=True)
 
 
 class Reader:
@@ -122,13 +124,59 @@ class Reader:
 TAKES: Final = Rising.takes
 
 
-def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[str], seed: int = 1) -> dict[str, Any]:
-    """Have two workers serve skins, let a fault befall one of them each time, and return what readers saw."""
-    rng = random.Random(seed)
+class Workers:
+    """Two workers, each with what can befall it; those that can be cut off have networks of their own.
 
-    def start(name: str) -> None:
-        processes.skin(name, "reconstruct", "--connect", endpoint, "--priority", "normal")
+    For these `endpoint` listens in a network of this process alone.
+    """
 
+    def __init__(self, processes: Processes, endpoint: str, *, are_far: bool) -> None:
+        self._processes, self._endpoint, self._are_far = processes, endpoint, are_far
+        for number in range(2):
+            self.start(number)
+
+    def start(self, number: int) -> None:
+        """Start a worker that does not run."""
+        if self._processes.runs(f"worker {number}"):
+            return
+        verb = [sys.executable, "-m", "skin", "reconstruct", "--priority", "normal", "--connect"]
+        if not self._are_far:
+            self._processes.start(f"worker {number}", *verb, self._endpoint)
+            return
+        near, far, place = f"near{number}", f"far{number}", f"10.0.{number}"
+        set_up = (
+            f"until ip link show {far}; do sleep 0.1; done; ip addr add {place}.2/24 dev {far}; ip link set {far} up"
+        )
+        verb = [*verb, f"tcp/{place}.1:{self._endpoint.rpartition(':')[2]}"]
+        self._processes.start(f"worker {number}", "unshare", "--net", "sh", "-euc", f'{set_up}; exec "$@"', "sh", *verb)
+        ip(f"link add {near} type veth peer name {far} netns {self._processes.number(f'worker {number}')}")
+        ip(f"addr add {place}.1/24 dev {near}")
+        ip(f"link set {near} up")
+
+    def begin(self, fault: str, number: int) -> None:
+        """Kill a worker, stop it, or cut it off."""
+        if fault == "kill":
+            self._processes.stop(f"worker {number}", signal.SIGKILL)
+        elif fault == "stop":
+            self._processes.send_signal(f"worker {number}", signal.SIGSTOP)
+        else:
+            ip(f"link set near{number} down")
+
+    def end(self, fault: str, number: int) -> None:
+        """Let a worker go on that was not killed."""
+        if fault == "stop":
+            self._processes.send_signal(f"worker {number}", signal.SIGCONT)
+        elif fault == "cut":
+            ip(f"link set near{number} up")
+
+
+def ip(words: str) -> None:
+    """Change the network of this process."""
+    subprocess.run(["ip", *words.split()], check=True)
+
+
+def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[tuple[str, int]]) -> dict[str, Any]:
+    """Have two workers serve skins, let each fault befall one of them, and return what readers saw."""
     processes.start("gateways", *GATEWAYS, endpoint, str(SIDE), str(RATE_HZ), *names)
     processes.await_words("gateways", "up")
     Rising.takes = lambda *_: True  # type: ignore[method-assign]  # each image is seen, and judged here
@@ -136,37 +184,27 @@ def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[
         with ExitStack() as stack:
             fabrics = [stack.enter_context(closing(Fabric(name, "", endpoint))) for name in names]
             readers = [Reader(fabric) for fabric in fabrics]
-            workers = ["worker 0", "worker 1"]
-            for name in workers:
-                start(name)
-            started_s = time.monotonic()
-            for fault in faults:
-                if not processes.runs(name):
-                    start(name)
+            workers = Workers(processes, endpoint, are_far=any(fault == "cut" for fault, _ in faults))
+            since_s = time.monotonic()
+            for fault, number in faults:
+                for each in range(2):
+                    workers.start(each)
                 for reader in readers:
-                    reader.await_two(started_s)
-                name = rng.choice(workers)
-                time.sleep(rng.random() / RATE_HZ)
-                started_s = time.monotonic()
-                if fault == "kill":
-                    processes.stop(name, signal.SIGKILL)
-                else:
-                    processes.send_signal(name, signal.SIGSTOP)
+                    reader.await_two(since_s)
+                workers.begin(fault, number)
                 for reader in readers:
                     reader.await_images(STOPPED_CYCLES)
-                if fault == "stop":
-                    processes.send_signal(name, signal.SIGCONT)
-                    started_s = time.monotonic()
+                since_s = time.monotonic()
+                workers.end(fault, number)
     finally:
         Rising.takes = TAKES  # type: ignore[method-assign]
     gaps_s = [float(np.diff([at_s for at_s, _ in each.taken]).max()) for each in readers]
-    cycles = [[cycle for _, cycle in each.taken] for each in readers]
     return {
         "faults": len(faults),
-        "longest_gap_s": [round(gap_s, 3) for gap_s in gaps_s],
+        "longest_gap_s": round(max(gaps_s), 3),
         "doubled": sum(count > 1 for each in readers for count in each.images.values()),
-        "images": sum(map(len, cycles)),
-        "missing": sum(each[-1] - each[0] + 1 - len(each) for each in cycles),
+        "images": sum(len(each.taken) for each in readers),
+        "missing": sum(each.taken[-1][1] - each.taken[0][1] + 1 - len(each.taken) for each in readers),
         "late": sum(each.late for each in readers),
     }
 
@@ -177,9 +215,8 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["gateways"]:
         serve_gateways(sys.argv[2], int(sys.argv[3]), float(sys.argv[4]), sys.argv[5:])
     else:
-        count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+        rng, count, kinds = random.Random(1), int(sys.argv[1]), sys.argv[2:]
+        endpoint = "tcp/0.0.0.0:7447" if "cut" in kinds else free_endpoint()
         with tempfile.TemporaryDirectory() as folder, Processes(Path(folder)) as processes:
-            faults = ["kill" if number % 2 else "stop" for number in range(count)]
-            names = [f"skin{number}" for number in range(8)]
-            print(json.dumps(disturb(processes, free_endpoint(), names, faults)))
-            print(processes.log("gateways").read_text())
+            faults = [(rng.choice(kinds), rng.randrange(2)) for _ in range(count)]
+            print(json.dumps(disturb(processes, endpoint, [f"skin{number}" for number in range(8)], faults)))
