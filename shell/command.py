@@ -13,7 +13,7 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
 from canskin.errors import InputError, RunError, SkinError, Stopped
 from canskin.keys import ENVIRONMENT
@@ -110,7 +110,9 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         version=lambda: version("canskin"),
         version_flags=["--version"],
         # A list takes every value up to the next option; empty defaults are not shown.
-        default_parameter=cyclopts.Parameter(consume_multiple=(1, None), negative_iterable=(), show_default=_default),
+        default_parameter=cyclopts.Parameter(
+            consume_multiple=(1, None), negative_iterable=(), show_default=_default, converter=_converted
+        ),
         result_action="return_value",
         exit_on_error=False,
         print_error=False,
@@ -197,6 +199,19 @@ def examples(text: str) -> str:
     return "\\\n".join(["Examples:", *(f"`{line}`" for line in lines if line)]) if heading else ""
 
 
+def _converted(hint: Any, tokens: Sequence["cyclopts.Token"]) -> object:
+    """Convert the words of an option. cyclopts would take no text for a value, and round a fraction."""
+    import cyclopts
+
+    for token in tokens:
+        name = f"{token.keyword}: " if token.keyword else ""
+        if token.implicit_value is cyclopts.UNSET and not token.value.strip():
+            raise InputError(f"{name}expected a value, got an empty text, as of a shell's variable that is not set")
+        if int in (hint, *get_args(hint)) and "." in token.value:
+            raise InputError(f"{name}expected a whole number, got '{token.value}'")
+    return cyclopts.convert(hint, tokens)
+
+
 def _default(value: object) -> str | None:
     """Return the text of a default in the help; None for flags and empty defaults."""
     return None if value is None or isinstance(value, bool) or value in ("", [], ()) else str(value)
@@ -232,6 +247,8 @@ def _run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # else Python reports the same error again
         return FAILED
+    except MemoryError:
+        return _complain("not enough memory for what was asked: ask for less, or for a smaller skin", WRONG_INPUT)
     except OSError as error:  # for example a full disk
         sys.stdout = None  # its buffer cannot be written at exit either
         return _complain(error, FAILED)
