@@ -82,6 +82,7 @@ def record(
     stop, of = StopSignal().install(), of or SkinOptions()
     pulse = Pulse(stop)
     check_new_path(out, "recording")
+    check_format(out)
     name = None if label is None else check_label(label.strip())
     _check_kept(out, "--label", name is not None)
     _check_kept(out, "--no-frames", not frames)

@@ -240,25 +240,25 @@ def _run(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
     except RunError as error:
         return _complain(error, FAILED)
-    except (SkinError, cyclopts.CycloptsError) as error:
+    except (SkinError, cyclopts.CycloptsError, MemoryError) as error:
         return _complain(_in_words(error), WRONG_INPUT)
     except Stopped:
         return 0
     except BrokenPipeError:
         sys.stderr.close()  # else Python reports the same error again
         return FAILED
-    except MemoryError:
-        return _complain("not enough memory for what was asked: ask for less, or for a smaller skin", WRONG_INPUT)
     except OSError as error:  # for example a full disk
         sys.stdout = None  # its buffer cannot be written at exit either
         return _complain(error, FAILED)
     return status if isinstance(status, int) else 0
 
 
-def _in_words(error: "SkinError | cyclopts.CycloptsError") -> Exception | str:
+def _in_words(error: "SkinError | cyclopts.CycloptsError | MemoryError") -> Exception | str:
     """Tell what a verb takes where a word is one too many, or its first word is missing."""
     import cyclopts
 
+    if isinstance(error, MemoryError):
+        return f"the memory of this machine is too small for that: expected smaller numbers: {error}"
     if isinstance(error, SkinError):
         return error
     verb = " ".join(error.command_chain or ())
