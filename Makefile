@@ -1,6 +1,7 @@
 # make demo     the whole chain on this machine for 20 s; the first start takes one to two minutes more
 # make test     everything that must hold: style, types, imports, tests
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
+# make test-mcu   boards on emulated processors with CAN controllers of their own (docs/firmware.md)
 # make test-containers  the skin in containers, on this machine's engine or one of its own (docs/containers.md)
 # make lock     requirements.lock, the versions in the image, anew from pyproject.toml
 # make wheels   the wheels of requirements.lock, for an image built without a network (docs/containers.md)
@@ -17,7 +18,7 @@ ARGS ?=
 OLDEST := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < tuple(map(int, "$(OLDEST)".split("."))))
 
-.PHONY: setup demo test test-vcan test-containers lock wheels mutants figures docs check loop
+.PHONY: setup demo test test-vcan test-mcu test-containers lock wheels mutants figures docs check loop
 
 setup: .venv/.installed
 
@@ -73,6 +74,9 @@ test: check
 
 test-vcan: setup
 	tests/vcan/run
+
+test-mcu: setup
+	tests/mcu/run
 
 test-containers: setup wheels
 	tests/containers/run

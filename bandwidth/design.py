@@ -11,6 +11,7 @@ from bandwidth.search import Candidate, CanKind, Requirement, Search, SendingKin
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from canskin.errors import InputError, LayoutError, RunError, reasoned
+from shell.neighbours import new_serial, require_new, tell_shared
 from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import print_json, progress
@@ -70,6 +71,8 @@ def design(options: DesignOptions, disturbance: Disturbance | None, *, as_json: 
         raise InputError("a search needs --taxels: their number, ROWSxCOLUMNS, or a file of taxels")
     if out is not None:
         check_new_path(out, "layout", ".toml")
+    name = new_name(taxels, out)
+    require_new(name)
     required = Requirement(
         _taxels(taxels),
         rate_hz=options.rate,
@@ -83,8 +86,9 @@ def design(options: DesignOptions, disturbance: Disturbance | None, *, as_json: 
     text = None
     if found.layout is not None:
         asked_s = disturbance.jitter_s if disturbance is not None else None
-        device = {} if asked_s is None else {"jitter_s": asked_s}
-        layout = changed(found.layout, name=new_name(taxels, out), device=device)
+        device = {"first_serial": new_serial(name)} | ({} if asked_s is None else {"jitter_s": asked_s})
+        layout = changed(found.layout, name=name, device=device)
+        tell_shared(layout, "plan")
         found, text = replace(found, layout=layout), layout_text(layout)
     if text is not None and out is not None:
         with reasoned(InputError, f"{out}: cannot write the layout"):

@@ -15,6 +15,7 @@ from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from canskin.errors import InputError
 from dbc.contract import Contract
+from shell.neighbours import new_serial, require_new, tell_shared
 from shell.output import check_new_path, check_picture_path, save_figure, write_file
 from shell.service import say
 from shell.terminal import Json, print_json, print_table
@@ -98,10 +99,13 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     tables, told = tables_of(str(taxels), modules)
     for words in told:
         say("layout", words)
-    tables = {"name": new_name(str(taxels), out), "sending": sending, **tables}
+    name = new_name(str(taxels), out)
+    require_new(name)
+    tables = {"name": name, "sending": sending, "device": {"first_serial": new_serial(name)}, **tables}
     if sending == "steps":
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
+    tell_shared(skin, "layout")
     if skin.sends.in_cycles:
         _complete(tables, skin)
     if out is not None and skin.taxels.positions is not None:

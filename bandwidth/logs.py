@@ -20,7 +20,7 @@ from canskin.errors import InputError
 from dbc.canopen import EXTENDED_ID_MASK
 from dbc.frame import Frames, frames
 from dbc.stored_frames import from_bytes
-from recording import is_recording
+from recording import file_of, is_recording
 from skin.layout import Layout
 
 #: Largest time stamp, seconds since the epoch: in 2261, a year before nanoseconds end that 64 bits hold.
@@ -50,7 +50,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     warn : callable
         Receives a line of text for each cause why the log is not whole, and where its times jump.
     """
-    if not path.is_file():
+    if not file_of(path).is_file():
         raise InputError(f"{path}: no such log")
     if is_recording(path):
         return _read_recording(path, warn)
@@ -106,7 +106,11 @@ def _forward(
     for channel in range(len(names)):
         mine = np.flatnonzero(channels == channel)
         own_steps_ns[mine[1:]] = np.diff(times_ns[mine])
-    falls = np.flatnonzero(own_steps_ns < -_DISORDER_NS)
+    falls = np.flatnonzero(own_steps_ns < 0)
+    if len(falls) > len(times_ns) // 8:
+        count = f"{len(falls)} of {len(times_ns)} times fall"
+        tell(f"{at(int(falls[0]))}: {count}: are they those since the frame before, as of 'candump -td'?")
+    falls = falls[own_steps_ns[falls] < -_DISORDER_NS]
     edges = np.concatenate(([0], falls, [len(times_ns)]))
     longest = int(np.argmax(np.diff(edges)))
     first, end = int(edges[longest]), int(edges[longest + 1])

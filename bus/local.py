@@ -1,16 +1,15 @@
 """The link to a bus that the same process serves: frames are handed over, without a socket."""
 
 import time
-from collections import deque
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
 from bus.error_frames import State
 from bus.protocol import check_frames, padded
-from bus.session import BACKLOG_FRAMES, Batch
+from bus.session import Backlog, Batch
 from bus.simulated_bus import SimulatedBus
-from dbc.frame import Frames, frames
+from dbc.frame import Frames
 
 
 class LocalLink:
@@ -24,22 +23,18 @@ class LocalLink:
         Faults select the station by it.
     queue_size : int
         Number of frames in the transmit queue of each controller.
-
-    Attributes
-    ----------
-    dropped : int
-        Number of frames lost because `receive` was not called.
+    joined : list of LocalLink
+        Those that the server gives frames to: this link is one of them until it is closed.
     """
 
     proves_echo: Final = True
     stamp_error_ns: Final = 0
 
-    def __init__(self, bus: SimulatedBus, name: str, queue_size: int) -> None:
-        self.dropped = 0
-        self._bus = bus
+    def __init__(self, bus: SimulatedBus, name: str, queue_size: int, joined: list[Self]) -> None:
+        self._bus, self._joined = bus, joined
         self._station = bus.attach(name, queue_size)
-        self._arrived: deque[Frames] = deque()
-        self._waiting = 0
+        self._backlog = Backlog()
+        joined.append(self)
 
     def fileno(self) -> int:
         """Return -1: there is nothing to select; `bus.server.BusServer.ready` tells when frames wait."""
@@ -48,7 +43,12 @@ class LocalLink:
     @property
     def is_ready(self) -> bool:
         """Whether frames wait."""
-        return bool(self._arrived)
+        return bool(self._backlog.parts)
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames lost because `receive` was not called."""
+        return self._backlog.dropped
 
     @property
     def state(self) -> State:
@@ -61,20 +61,13 @@ class LocalLink:
 
     def offer(self, batch: Batch) -> None:
         """Take the records of a batch that are for this station."""
-        chosen = batch.of(self._station)
-        if not len(chosen):
-            return
-        self._arrived.append(chosen)
-        self._waiting += len(chosen)
-        while self._waiting > BACKLOG_FRAMES and len(self._arrived) > 1:
-            lost = len(self._arrived.popleft())
-            self._waiting, self.dropped = self._waiting - lost, self.dropped + lost
+        self._backlog.keep(batch.of(self._station))
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of own frames included, in bus order."""
-        arrived = np.concatenate((frames(0), *self._arrived)) if len(self._arrived) != 1 else self._arrived[0]
-        self._arrived.clear()
-        self._waiting = 0
+        arrived = self._backlog.take()
+        while self.is_ready:
+            arrived = np.concatenate((arrived, self._backlog.take()))
         return arrived
 
     def send(self, burst: Frames) -> int:
@@ -84,4 +77,6 @@ class LocalLink:
 
     def close(self) -> None:
         """Leave the bus."""
-        self._bus.detach(self._station)
+        if self in self._joined:
+            self._joined.remove(self)
+            self._bus.detach(self._station)

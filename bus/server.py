@@ -36,7 +36,7 @@ from bus.simulated_bus import SimulatedBus
 from canskin.errors import BusError, InputError
 from canskin.session import own_folder
 from dbc.frame import frames
-from shell.service import say
+from shell.service import RateLimitedLog, say
 
 #: Period in which frames are delivered inside a burst; its first and last frames are delivered at once.
 TICK_NS: Final = 2_000_000
@@ -44,6 +44,8 @@ TICK_NS: Final = 2_000_000
 LEAST_NS: Final = 250_000
 #: Longest sleep between two checks of the stop condition.
 IDLE_S: Final = 0.1
+#: A client that could not be taken is tried again after this time.
+DEAF_NS: Final = 100_000_000
 #: select() has a timeout in microseconds, but takes no descriptor above 1023.
 MAX_CLIENTS: Final = 500
 #: Most packets taken from one client before the other clients.
@@ -89,6 +91,8 @@ class _Line:
     delivered_ns: int = 0
     #: When the next delivery is due, None without one; made anew in each turn.
     wake_ns: int | None = None
+    #: No client is taken before this time.
+    deaf_ns: int = 0
 
     def fileno(self) -> int:
         return self.listener.fileno()
@@ -113,6 +117,7 @@ class BusServer:
         self.settings = settings
         self._lines: list[_Line] = []
         self._now_ns = 0
+        self._complain = RateLimitedLog("bus").say
         self._buffer = bytearray(MAX_PACKET + 1)
         dry = SimulatedBus(settings.bitrate)
         sender, _ = dry.attach("sender"), dry.attach("receiver")
@@ -160,11 +165,11 @@ class BusServer:
             thread.join()
 
     def join(self, channel: str, name: str) -> LocalLink:
-        """Return a link of this process, whose thread serves, to one of the buses."""
-        line = next(line for line in self._lines if line.channel == channel)
-        link = LocalLink(line.bus, name, self.settings.queue_size)
-        line.local.append(link)
-        return link
+        """Return a link of this process, whose thread serves, to one of the buses; raise InputError for another."""
+        for line in self._lines:
+            if line.channel == channel:
+                return LocalLink(line.bus, name, self.settings.queue_size, line.local)
+        raise InputError(f"expected one of the buses {', '.join(self.buses)}, got '{channel}'")
 
     def ready(self, links: Iterable[Link], wait_s: float, *, whole: bool) -> Collection[Link]:
         """Serve until frames came for links of this process, at most for `wait_s`; with `whole` all that time.
@@ -183,7 +188,7 @@ class BusServer:
 
     def turn(self, wait_s: float = IDLE_S) -> None:
         """Sleep until a client sends or a frame ends, at most for `wait_s`, and handle it."""
-        readers: list[_Line | socket.socket | Session] = [*self._lines]
+        readers: list[_Line | socket.socket | Session] = [each for each in self._lines if each.deaf_ns <= self._now_ns]
         for line in self._lines:
             readers += [*line.pending, *line.sessions]
         writers = [session for line in self._lines for session in line.sessions if session.blocked]
@@ -252,7 +257,9 @@ class BusServer:
     def _accept(self, line: _Line) -> None:
         try:
             connection, _ = line.listener.accept()
-        except OSError:  # the client has left, or no descriptor is free
+        except OSError as error:  # most likely no descriptor is free, and the client waits on
+            line.deaf_ns = self._now_ns + DEAF_NS
+            self._complain(f"{line.channel}: cannot take a client: {error.strerror}")
             return
         connection.setblocking(False)
         line.pending.append(connection)

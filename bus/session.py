@@ -53,19 +53,54 @@ class Batch:
         return chosen
 
 
-class Session:
-    """A station and its socket.
+class Backlog:
+    """Frames that wait for a station.
 
-    The backlog is bounded: received frames by `BACKLOG_FRAMES`; echoes, which are never dropped, by the size of the
-    transmit queues.
+    It is bounded: received frames by `BACKLOG_FRAMES`, later frames are dropped; echoes, which are never dropped, by
+    the size of the transmit queues.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of frames that were lost because the backlog was full.
+    parts : deque of array of FRAME
+        No longer than MAX_FRAMES, if those that were kept are not.
     """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self.parts: deque[Frames] = deque()
+        self._waiting = 0
+
+    def keep(self, part: Frames) -> None:
+        """Keep frames; drop received frames above the bound."""
+        received = part["flags"] & ECHO == 0
+        count = int(np.count_nonzero(received))
+        if self._waiting + count > BACKLOG_FRAMES:
+            lost = received & (np.cumsum(received) > BACKLOG_FRAMES - self._waiting)
+            part = part[~lost]
+            self.dropped += (excess := int(np.count_nonzero(lost)))
+            count -= excess
+        self._waiting += count
+        if self.parts and len(self.parts[-1]) + len(part) <= MAX_FRAMES:
+            self.parts[-1] = np.concatenate((self.parts[-1], part))
+        elif len(part):
+            self.parts.append(part)
+
+    def take(self) -> Frames:
+        """Remove and return the oldest part; an empty array if there is none."""
+        part = self.parts.popleft() if self.parts else frames(0)
+        self._waiting -= int(np.count_nonzero(part["flags"] & ECHO == 0))
+        return part
+
+
+class Session:
+    """A station and its socket."""
 
     def __init__(self, connection: socket.socket, station: Station) -> None:
         self.connection = connection
         self.station = station
-        self.dropped = 0
-        self._backlog: deque[Frames] = deque()
-        self._waiting = 0
+        self.backlog = Backlog()
 
     def fileno(self) -> int:
         """Return the socket's descriptor, for select."""
@@ -74,44 +109,30 @@ class Session:
     @property
     def blocked(self) -> bool:
         """Whether frames wait until the client reads."""
-        return bool(self._backlog)
+        return bool(self.backlog.parts)
 
     def offer(self, batch: Batch, now_ns: int) -> None:
         """Send the client its records of a batch."""
         chosen = batch.of(self.station)
-        if chosen is batch.others and len(chosen) <= MAX_FRAMES and not self._backlog:
+        if chosen is batch.others and len(chosen) <= MAX_FRAMES and not self.blocked:
             if len(chosen) and not self._send(len(chosen), batch.payload, now_ns):
-                self._keep(chosen)
+                self.backlog.keep(chosen)
             return
         for first in range(0, len(chosen), MAX_FRAMES):
             part = chosen[first : first + MAX_FRAMES]
-            if self._backlog or not self._send(len(part), part.tobytes(), now_ns):
-                self._keep(part)
+            if self.blocked or not self._send(len(part), part.tobytes(), now_ns):
+                self.backlog.keep(part)
 
     def flush(self, now_ns: int) -> None:
         """Send waiting frames, as far as the client reads."""
-        while self._backlog and self._send(len(self._backlog[0]), self._backlog[0].tobytes(), now_ns):
-            self._waiting -= int(np.count_nonzero(self._backlog.popleft()["flags"] & ECHO == 0))
+        parts = self.backlog.parts
+        while parts and self._send(len(parts[0]), parts[0].tobytes(), now_ns):
+            self.backlog.take()
 
     def _send(self, count: int, payload: bytes, now_ns: int) -> bool:
-        header = HEADER.pack(MAGIC, Kind.FRAMES, self.station.state, count, self.dropped, now_ns)
+        header = HEADER.pack(MAGIC, Kind.FRAMES, self.station.state, count, self.backlog.dropped, now_ns)
         try:
             self.connection.sendmsg((header, payload))
         except BlockingIOError:
             return False
         return True
-
-    def _keep(self, part: Frames) -> None:
-        """Keep frames; drop received frames above the bound."""
-        received = part["flags"] & ECHO == 0
-        excess = np.cumsum(received) > BACKLOG_FRAMES - self._waiting
-        lost = received & excess
-        self.dropped += int(lost.sum())
-        kept = part[~lost]
-        self._waiting += int(received.sum() - lost.sum())
-        if not len(kept):
-            return
-        if self._backlog and len(self._backlog[-1]) + len(kept) <= MAX_FRAMES:
-            self._backlog[-1] = np.concatenate((self._backlog[-1], kept))
-        else:
-            self._backlog.append(kept)

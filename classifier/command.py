@@ -75,7 +75,7 @@ def classify(
     fabric = pulse.fabric = of.join(skin, "classifier", pulse)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     try:
-        service = make_service(Classifier(trained, classified), skin, fabric)
+        service = make_service(Classifier(trained, classified), skin, fabric, fabric.instance)
         request_real_time("classifier", fabric.tell_scheduling)
         service.run(stop, pulse.beat)
     finally:

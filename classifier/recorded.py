@@ -16,7 +16,7 @@ from classifier.newest_sums import NewestSums, averaged_cycles
 from classifier.samples import FeatureExtractor, Observations, Untouched, observe_untouched, standard_untouched
 from classifier.touches import CycleKey, Touches, read_touches
 from classifier.used_sums import classified_phi, coarse_sums
-from recording import RECORDING_SUFFIX, is_recording
+from recording import RECORDING_SUFFIX, file_of, is_recording
 from recording.mcap_file import Warn, read_messages
 from skin.difference import difference
 from skin.layout import Layout, load_layout
@@ -151,7 +151,7 @@ def recordings_in(given: Iterable[Path]) -> list[Path]:
     paths = []
     for each in given:
         found = sorted(each.glob(f"*{RECORDING_SUFFIX}")) if each.is_dir() else [each]
-        if not found or not all(path.is_file() and is_recording(path) for path in found):
+        if not found or not all(file_of(path).is_file() and is_recording(path) for path in found):
             raise InputError(f"{each}: expected a recording of 'skin record' ({RECORDING_SUFFIX}), or a folder of them")
         paths += found
     if not paths:

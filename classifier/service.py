@@ -26,15 +26,18 @@ _WAITING_S: Final = 0.04
 _LEAST_WAITING: Final = 4
 #: Least time between two decisions on steps. The decision settles over cycles of this period.
 PERIOD_S: Final = 0.01
+#: Name of the service.
+CLASSIFIER: Final = "classifier"
 
 
 def make_service(
-    classifier: Classifier, layout: Layout, fabric: Exchange
+    classifier: Classifier, layout: Layout, fabric: Exchange, instance: str = ""
 ) -> "ClassifierService | SteppedClassifierService":
-    """Return what labels the measurements of a skin."""
-    if layout.sends.in_cycles:
-        return ClassifierService(classifier, layout, fabric)
-    return SteppedClassifierService(classifier, layout, fabric)
+    """Return what labels the measurements of a skin; see `_Service.instance`."""
+    kind = ClassifierService if layout.sends.in_cycles else SteppedClassifierService
+    service = kind(classifier, layout, fabric)
+    service.instance = instance
+    return service
 
 
 def most_waiting(rate_hz: float) -> int:
@@ -49,16 +52,24 @@ class _Service:
     ----------
     labelled : int
         Number of labels.
+    instance : str
+        Of its `canskin.peers.Peer`, by which a gateway names the classifier that publishes.
     """
 
     _reader: MeasurementReader[Any]
 
     def __init__(self, classifier: Classifier, phi: Phi, fabric: Exchange, *, waiting: int) -> None:
         self.labelled = 0
+        self.instance = ""
         self._classifier = classifier
         self._sums_of_block = np.diff(phi.starts)
         self._fabric = fabric
         self._measurements = fabric.mailbox(MEASUREMENT, waiting)
+
+    def _publish(self, measurement: Measurement, label: Label | None) -> None:
+        """Publish a label, unless a measurement names another classifier."""
+        if label is not None and measurement.names(CLASSIFIER, self.instance):
+            self._fabric.publish(LABEL, label)
 
     def _labelled(self, measurement: Measurement, decision: Decision, valid: npt.NDArray[np.bool_]) -> Label:
         self.labelled += 1
@@ -94,7 +105,7 @@ class ClassifierService(_Service):
     ) -> None:
         phi = classified_phi(layout)
         super().__init__(classifier, phi, fabric, waiting=most_waiting(1 / layout.sync.period_s))
-        self._reader = MeasurementReader(phi, "classifier", decode_measurement)
+        self._reader = MeasurementReader(phi, CLASSIFIER, decode_measurement)
         self._keeps_time = keeps_time
 
     def run(self, stop: StopSignal, beat: Beat = unheard) -> None:
@@ -104,9 +115,7 @@ class ClassifierService(_Service):
             measurement = self._measurements.get(_TURN_S)
             if measurement is None:
                 continue
-            label = self.label(measurement)
-            if label is not None:
-                self._fabric.publish(LABEL, label)
+            self._publish(measurement, self.label(measurement))
 
     def label(self, measurement: Measurement) -> Label | None:
         """Return the label of one measurement, or None when it is refused."""
@@ -133,7 +142,7 @@ class SteppedClassifierService(_Service):
 
     def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
         super().__init__(classifier, layout.phi(), fabric, waiting=1)
-        self._reader = MeasurementReader(layout.phi(), "classifier", decode_stepped)
+        self._reader = MeasurementReader(layout.phi(), CLASSIFIER, decode_stepped)
         self._places = places(layout.phi(), coarse_sums(layout))
         self._newest: tuple[Measurement, SteppedSums] | None = None
         self._cycle = self._repeated = 0
@@ -149,8 +158,8 @@ class SteppedClassifierService(_Service):
             time.sleep(max(0.0, due_s - time.monotonic()))
             beat(self.labelled)
             label = self.label(self._measurements.get(0.0))
-            if label is not None:
-                self._fabric.publish(LABEL, label)
+            if self._newest is not None:
+                self._publish(self._newest[0], label)
 
     def label(self, measurement: Measurement | None) -> Label | None:
         """Return the label of the next period, None without one.

@@ -17,6 +17,7 @@ import numpy as np
 
 from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import CONTACTS, MARK, Contacts, check_label
+from recording import beside
 from recording.mcap_file import Read, Warn, read_messages
 from shell.output import write_file
 from skin.limits import TEXT_BYTES_MAX, read_file
@@ -113,7 +114,7 @@ class _Look(NamedTuple):
 
 def labels_path(recording: Path) -> Path:
     """Return the path of the labels beside a recording."""
-    return recording.with_name(f"{recording.stem}.labels.json")
+    return beside(recording, ".labels.json")
 
 
 def read_labels(recording: Path) -> list[Span]:

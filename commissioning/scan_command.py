@@ -13,7 +13,7 @@ from commissioning.scan import Scan
 from commissioning.talk import take_turn
 from dbc.canopen import identifier_text
 from shell.service import StopSignal, say
-from shell.skin_options import SkinOptions, is_told
+from shell.skin_options import SkinOptions, told_skins
 from shell.terminal import Json, print_json, print_table
 from skin.layout import BITRATE_MAX
 from skin.ranges import require_above_zero
@@ -65,7 +65,7 @@ def scan(
         if (bitrate or data_bitrate) is not None:
             raise InputError("expected a skin or --bitrate and --data-bitrate, got both: a layout has the rates")
         of = of or SkinOptions()
-        if of == SkinOptions() and not is_told(of.endpoint):
+        if of == SkinOptions() and not told_skins(of.endpoint):
             raise InputError("expected -c with the channels of the buses, or --layout: no gateway is there")
         skin = of.find(needs_hub=False)
         lines = skin.bus

@@ -17,7 +17,9 @@ what to do at each cause.
 
 Two boards with one node-ID: a node is out until ten seconds after its sums came twice, and differed, in two cycles of a
 second. What is not found: when one of the boards answers the gateway, and has sent no sums since the other came,
-nothing comes twice. Then the sums of the other are taken for its own.
+nothing comes twice. Then the sums of the other are taken for its own. Nor are two cables that are exchanged within
+1.5 s while the interfaces stay: boards with equal identifiers are taken for each other until their proofs come, in
+turn.
 
 | fault | named | whole | calm |
 |---|---|---|---|

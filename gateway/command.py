@@ -11,11 +11,12 @@ from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
+from gateway.duty import Duties
 from gateway.service import GatewayService
 from gateway.stepped_gathering import publishing_rates
 from shell.output import check_output_path
 from shell.pulse import Pulse
-from shell.service import StopSignal, say
+from shell.service import RateLimitedLog, StopSignal, say
 from shell.skin_options import Insecure, check_listen, join
 from skin.calibration_file import load_calibration
 from skin.layout import load_layout, require_sending
@@ -96,7 +97,10 @@ def gateway(
     services: list[GatewayService] = []
 
     def prepare(fabric: Fabric) -> None:  # loads kernels, too: before the others see the gateway
-        services.append(GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz))
+        duties = Duties(fabric, skin.name, skin.operator().fingerprint, RateLimitedLog("gateway").say)
+        services.append(
+            GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz, duties=duties)
+        )
         for question in (CALIBRATION, ZERO):
             fabric.answer(question, calibrates.ask)
 

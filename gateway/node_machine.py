@@ -21,7 +21,7 @@ from dbc.dictionary import SILENT_AFTER_S
 from gateway.foreign_sdo import GAINS, Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
 from gateway.proof import Known, Proof, prove
-from gateway.sdo import ATTEMPTS, Dialogue, SdoDialogue
+from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
 from gateway.spread import Spread
 
 #: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`; of a node
@@ -75,6 +75,7 @@ class Event(Enum):
     LEFT = auto()  #: A heartbeat, or a command of another master, says that the node has left OPERATIONAL.
     RUNNING = auto()  #: A refused node is OPERATIONAL.
     LOST = auto()  #: The heartbeat is overdue.
+    REPLUGGED = auto()  #: The controller is back on the bus, which may be another.
     TWICE = auto()  #: Another board sends sums with the node-ID.
     OUTDATED = auto()  #: The newest proof is too old.
     WRITTEN = auto()  #: Another master writes the configuration.
@@ -87,11 +88,13 @@ _FAULTS: Final = {
     Event.LEFT: Fault.LEFT,
     Event.LOST: Fault.SILENT,
     Event.TWICE: Fault.TWICE,
+    Event.REPLUGGED: Fault.UNPROVEN,
     Event.OUTDATED: Fault.UNPROVEN,
     Event.WRITTEN: Fault.CHANGED,
     Event.DIFFERENT: Fault.CHANGED,
 }
 _STARTING: Final = NodeFault(Fault.STARTING)
+_LATE: Final = f", and an answer came after more than {TIMEOUT_S:g} s"
 #: A node that was asked in vain this often, and sends heartbeats, does not answer.
 _IN_VAIN: Final = 2
 
@@ -304,6 +307,8 @@ class NodeMachine:
         if self.errand is not None:
             self.errand.take(data, now_s)
             self._end_errand()
+        elif not self.in_use and _LATE not in self.unanswered:
+            self.unanswered += _LATE
         return False
 
     def take_foreign_request(self, data: bytes, now_s: float) -> None:
@@ -351,6 +356,10 @@ class NodeMachine:
             return None
         self.errand = self._dialogue(steps, now_s, attempts=1)
         return self.errand
+
+    def take_replugged(self, now_s: float) -> None:
+        """Prove the node before its sums are used again: the controller is back, maybe on another bus."""
+        self._happen(Event.REPLUGGED, now_s, "not proven since the controller is back on the bus")
 
     def begin_proof(self, now_s: float) -> None:
         """Prove the node: its time has come."""
@@ -532,6 +541,7 @@ class NodeMachine:
     TRANSITIONS: ClassVar[dict[NodeState, dict[Event, tuple[_Action, NodeState]]]] = {
         NodeState.WAITING: {
             Event.DUE: (_try, NodeState.CHECKED),
+            Event.REPLUGGED: (_try_now, NodeState.WAITING),
             Event.TWICE: (_tell, NodeState.WAITING),
             Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
             Event.HEARD: (_try_now, NodeState.WAITING),
@@ -541,6 +551,7 @@ class NodeMachine:
             Event.RIGHT: (_start_using, NodeState.IN_USE),
             Event.WRONG: (_refuse, NodeState.REFUSED),
             Event.UNANSWERED: (_pause_briefly, NodeState.WAITING),
+            Event.REPLUGGED: (_try_now, NodeState.WAITING),
             Event.TWICE: (_tell, NodeState.WAITING),
             Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
             Event.HEARD: (_try_now, NodeState.CHECKED),
@@ -553,6 +564,7 @@ class NodeMachine:
             Event.HEARD: (_try_now, NodeState.REFUSED),
             Event.RUNNING: (_halt, NodeState.REFUSED),
             Event.LOST: (_go_on, NodeState.WAITING),
+            Event.REPLUGGED: (_try_now, NodeState.REFUSED),
             Event.WRITTEN: (_try_when_free, NodeState.REFUSED),
         },
         NodeState.REFUSED_CHECKED: {
@@ -563,6 +575,7 @@ class NodeMachine:
             Event.HEARD: (_try_now, NodeState.REFUSED_CHECKED),
             Event.RUNNING: (_halt, NodeState.REFUSED_CHECKED),
             Event.LOST: (_go_on, NodeState.CHECKED),
+            Event.REPLUGGED: (_try_now, NodeState.REFUSED),
             Event.WRITTEN: (_try_when_free, NodeState.REFUSED),
             Event.BUSY: (_give_way, NodeState.REFUSED),
         },
@@ -571,6 +584,7 @@ class NodeMachine:
             Event.BOOTED: (_stop_using, NodeState.WAITING),
             Event.LEFT: (_stop_using, NodeState.WAITING),
             Event.LOST: (_stop_using, NodeState.WAITING),
+            Event.REPLUGGED: (_stop_using, NodeState.WAITING),
             Event.TWICE: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
@@ -582,6 +596,7 @@ class NodeMachine:
             Event.BOOTED: (_stop_using, NodeState.WAITING),
             Event.LEFT: (_stop_using, NodeState.CHECKED),
             Event.LOST: (_stop_using, NodeState.CHECKED),
+            Event.REPLUGGED: (_stop_using, NodeState.WAITING),
             Event.TWICE: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),

@@ -7,13 +7,15 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from bus.intake import DROPPED, IS_READY, Readable, attach
+from bus.intake import Readable, attach
 from bus.link import Link, State
+from bus.told import DROPPED, IS_READY
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, Measurement
 from dbc.contract import Contract
 from dbc.frame import frames
 from gateway.calibration import GatewayCalibration
+from gateway.duty import Duties
 from gateway.loop import GatewayLoop
 from gateway.sdo import TIMEOUT_S
 from gateway.stepped_gathering import RATES_HZ
@@ -43,6 +45,8 @@ class GatewayService:
         Without it measurements have no offsets.
     rates_hz : tuple of float
         See `GatewayLoop`.
+    duties : Duties, optional
+        Without them all who make images or labels publish them.
     clock : callable, optional
         Monotonic time in seconds.
     """
@@ -55,9 +59,10 @@ class GatewayService:
         *,
         calibration: GatewayCalibration | None = None,
         rates_hz: tuple[float, float] = RATES_HZ,
+        duties: Duties | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._calibration = calibration
+        self._calibration, self._duties = calibration, duties
         self.loop = GatewayLoop(
             contract,
             {number: link.send for number, link in links.items()},
@@ -126,6 +131,8 @@ class GatewayService:
         self.loop.tick(self._clock())
         if self._calibration is not None:
             self._calibration.look(self.loop.masters, self._clock())
+        if self._duties is not None:
+            self._duties.turn(self._clock())
         self.publish(closed + self.loop.measurements(self._clock(), self._wall_offset_ns))
         if self._calibration is not None:
             self._calibration.tick(self.loop.masters, self._clock())
@@ -162,8 +169,12 @@ class GatewayService:
             self._turn.is_restless[number] |= link.state is not State.ACTIVE
 
     def publish(self, measurements: list[Measurement]) -> None:
-        """Publish measurements with their offsets."""
+        """Publish measurements with their offsets, and with who publishes what is made of them."""
         for each in measurements:
-            self._fabric.publish(MEASUREMENT, each if self._calibration is None else self._calibration.apply(each))
+            whole = each if self._calibration is None else self._calibration.apply(each)
+            if self._duties is not None:
+                whole = msgspec.structs.replace(whole, duty=self._duties.words)
+                self._duties.sent(self._clock())
+            self._fabric.publish(MEASUREMENT, whole)
             if self._calibration is not None:
                 self._calibration.take(each)

@@ -22,6 +22,7 @@ from dbc.generate import (
 from dbc.program import VERSION_BYTES, Program, is_version
 from nodes.firmware.export import export_files
 from nodes.sending import vector_files
+from shell.neighbours import tell_shared
 from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
@@ -93,6 +94,7 @@ def contract(
     elif check:
         lines = _drifted(Contract.from_layout(skin), out or DEFAULT_FOLDER)
     elif out is not None:
+        tell_shared(skin, "contract")
         files = _files(Contract.from_layout(skin), node, firmware=firmware)
         _check_own(out, files)
         lines = [str(path) for path in write_files(files, out)]

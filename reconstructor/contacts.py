@@ -13,6 +13,7 @@ A contact is a region of neighbouring taxels with force (`reconstructor.kernels.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from operator import attrgetter
@@ -63,6 +64,10 @@ class _Track:
     host: "_Track | None" = None
 
 
+#: A contact in an image, and what is known of it beyond the image.
+Seen = tuple[Contact, _Track]
+
+
 @dataclass(eq=False)
 class _Part:
     """The taxels of a region that belong to one contact: a row of `cut`, with its region and its contact."""
@@ -107,9 +112,15 @@ class ContactTracker:
     ----------
     surface : Surface
         Of the skin.
+
+    Attributes
+    ----------
+    seen : list of (Contact, track)
+        The contacts of the last image, for `adopt`.
     """
 
     def __init__(self, surface: Surface) -> None:
+        self.seen: list[Seen] = []
         self._surface, count = surface, len(surface.positions_m)
         #: Of each taxel row and column, or position and normal where the skin is no grid.
         places, self._reach = np.hstack((surface.positions_m, surface.normals)), REACH * surface.pitch_m
@@ -158,8 +169,38 @@ class ContactTracker:
         kept = self._join(parts)
         kept.sort(key=attrgetter("force_n"), reverse=True)
         contacts = self._follow(kept, len(parts), image, valid, doubtful)
+        self.seen = list(zip(contacts, self._tracks, strict=True))
         self._forget()
         return contacts, self._ended
+
+    def adopt(self, seen: Sequence[Seen], contacts: Sequence[Contact]) -> None:
+        """Give contacts the identities and onsets that another tracker, which began earlier, gives them.
+
+        Contacts that the other one knows and that are in no image now, joined or lost, get new identities when they
+        come again.
+
+        Parameters
+        ----------
+        seen : list of (Contact, track)
+            What `seen` was after an image.
+        contacts : list of Contact
+            The other one's, of an equal image.
+        """
+        left = {each.identity: each for each in contacts}
+        taken, others = set(left), dict[_Track, Contact]()
+        for own, track in seen:
+            apart_m = {each: math.dist(left[each].position_m, own.position_m) for each in left}
+            nearest = min(apart_m, key=apart_m.__getitem__, default=0)
+            if nearest and apart_m[nearest] < self._surface.pitch_m:
+                others[track] = left.pop(nearest)
+        self._begun = max(self._begun, *taken, 0)
+        for track in (*self._tracks, *self._lost, *self._joined):
+            if other := others.get(track):
+                track.identity, track.onset_ns = other.identity, other.onset_mono_ns
+                track.doubtful_ns = track.doubtful_ns and other.doubtful_since_mono_ns
+            elif track.identity in taken:
+                self._begun += 1
+                track.identity = self._begun
 
     def warm_up(self) -> None:
         """Compile the kernels, or take them from the cache; before the first image."""

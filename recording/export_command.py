@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from canskin.errors import InputError, RunError, reasoned
-from recording import is_recording
-from recording.mcap_file import read_about
+from recording import beside, file_of, is_recording
+from recording.mcap_file import part_of, read_about
 from shell.extras import not_installed
 from shell.output import check_new_path, replacing
 from shell.service import say
@@ -31,7 +31,7 @@ _SUFFIXES: Final[Mapping[Format, str]] = {
 _VIEWS: Final = ("ros2", "rerun", "foxglove")
 
 
-def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> None:
+def export(recording: Path, *, to: Format = "npz", out: Path | None = None, skin: str | None = None) -> None:
     """Write a recording as arrays, as a video or as a bag of ROS 2.
 
     Arrays are read into memory as a whole: 100 MB for a minute of images of the default skin.
@@ -48,6 +48,8 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
     out
         New file; without a suffix it gets that of its kind; of ``parquet`` the names of the tables are added. Default:
         the name of the recording.
+    skin
+        Name of the skin, where the recording has several.
 
     Examples
     --------
@@ -56,9 +58,10 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
     skin export run.mcap --to video
     skin export run.mcap --to ros2 --out run-bag
     """
-    if not is_recording(recording) or not recording.is_file():
+    if not is_recording(recording) or not file_of(recording).is_file():
         raise InputError(f"{recording}: expected a recording of 'skin record' (.mcap)")
-    path = out or recording.with_name(recording.stem + _SUFFIXES[to])
+    recording = part_of(recording, skin)
+    path = out or beside(recording, _SUFFIXES[to])
     suffix, got = Path(f"run{_SUFFIXES[to]}").suffix, path.suffix.lower()
     if got not in {"", suffix} and (suffix or got in {Path(f"run{each}").suffix for each in _SUFFIXES.values()}):
         raise InputError(f"{path}: --to {to} writes no '{path.suffix}': expected another --to, or another suffix")

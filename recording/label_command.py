@@ -7,7 +7,8 @@ from typing import Final
 from canskin.errors import InputError, RunError
 from canskin.messages import check_label
 from classifier.touches import Span, Touches, add_labels, labels_path, read_touches
-from recording import RECORDING_SUFFIX, is_recording
+from recording import RECORDING_SUFFIX, file_of, is_recording
+from recording.mcap_file import part_of
 from shell.service import say
 from shell.terminal import Json, print_json, print_table
 
@@ -15,7 +16,7 @@ _NUMBERS: Final = re.compile(r"(\d+)(?:-(\d+))?")
 _TIMES: Final = re.compile(r"(\d+(?:\.\d+)?):(\d+(?:\.\d+)?)")
 
 
-def label(source: Path, *labels: str, json: Json = False) -> None:
+def label(source: Path, *labels: str, skin: str | None = None, json: Json = False) -> None:
     """List the touches of a recording; set or remove their labels.
 
     A touch lasts from the onset of contact to the lift. Its label is that of the marks during most of its time
@@ -29,6 +30,8 @@ def label(source: Path, *labels: str, json: Json = False) -> None:
     labels
         What to set: NUMBER=LABEL or FIRST-LAST=LABEL of touches, BEGIN:END=LABEL of a time, seconds in the recording.
         An empty LABEL removes labels.
+    skin
+        Name of the skin, where the recording has several: its labels are in ``run-SKIN.labels.json``.
     json
         Print one JSON list, also of times in nanoseconds.
 
@@ -38,8 +41,9 @@ def label(source: Path, *labels: str, json: Json = False) -> None:
     skin label run.mcap 3=cup 4-9=ball 10=
     skin label run.mcap 12.5:40=cup
     """
-    if not is_recording(source) or not source.is_file():
+    if not is_recording(source) or not file_of(source).is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' ({RECORDING_SUFFIX})")
+    source = part_of(source, skin)
 
     def warn(line: str) -> None:
         say("label", line)

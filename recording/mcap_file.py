@@ -3,6 +3,9 @@
 A recording has one topic per bus, ``frames/NAME``, whose messages hold many frames each (`dbc.stored_frames`), and the
 topics of `canskin.messages`, whose messages are those of the fabric, byte for byte: msgpack. Of the topics `EVENTS` and
 `RECORDER` each message is a JSON object. The file begins with metadata and attachments.
+
+In a recording of several skins the names of topics, metadata and attachments begin with the name of their skin:
+``palm/image``. Whoever reads gives the path of one of the skins, ``run.mcap/palm``.
 """
 
 import contextlib
@@ -28,7 +31,7 @@ from mcap.writer import Writer
 
 from canskin.errors import UNDECODABLE, InputError, reasoned
 from canskin.messages import Topic
-from recording import is_recording
+from recording import file_of, is_recording
 
 #: Profile in the header: what the topics and messages are.
 PROFILE: Final = "canskin"
@@ -115,6 +118,14 @@ class About(NamedTuple):
     files: Mapping[str, bytes]
 
 
+class _Opened(NamedTuple):
+    """A new file, what writes records into the file, and a thread that has them brought to the disk."""
+
+    file: BinaryIO
+    writer: Writer
+    disk: ThreadPoolExecutor
+
+
 class RecordingWriter:
     """Writes a recording. After `flush` all that was added before is readable, whatever happens to this process.
 
@@ -124,6 +135,10 @@ class RecordingWriter:
         A new file.
     files : sequence of File
         Attachments.
+    part : str
+        Of a recording of several skins, the name of the skin that is written.
+    other : RecordingWriter, optional
+        What writes another skin into the same file; all of them are closed by one thread.
 
     Raises
     ------
@@ -131,25 +146,33 @@ class RecordingWriter:
         From every method, if the file cannot be written.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, str], files: Sequence[File], time_ns: int) -> None:
-        self._file = path.open("xb")
-        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, str],
+        files: Sequence[File],
+        time_ns: int,
+        *,
+        part: str = "",
+        other: "RecordingWriter | None" = None,
+    ) -> None:
+        self._prefix = f"{part}/" if part else ""
         self._channels: dict[str, int] = {}
-        self._disk = ThreadPoolExecutor(1, "fdatasync")
         self._synced: Future[None] | None = None
-        self._writer.start(PROFILE)
-        self._writer.add_metadata(METADATA, dict(metadata))
+        self.opened: _Opened = _open(path) if other is None else other.opened
+        self._file, self._writer, self._disk = self.opened
+        self._writer.add_metadata(self._prefix + METADATA, dict(metadata))
         for each in files:
             self.attach(each, time_ns)
         self.flush()
 
     def attach(self, file: File, time_ns: int) -> None:
         """Attach a file; of several of one name the newest counts."""
-        self._writer.add_attachment(time_ns, time_ns, file.name, file.media_type, file.content)
+        self._writer.add_attachment(time_ns, time_ns, self._prefix + file.name, file.media_type, file.content)
 
     def add_topic(self, name: str, encoding: str, about: Mapping[str, str]) -> None:
         """Describe a topic before its first message."""
-        self._channels[name] = self._writer.register_channel(name, encoding, 0, dict(about))
+        self._channels[name] = self._writer.register_channel(self._prefix + name, encoding, 0, dict(about))
 
     def add(self, topic: str, time_ns: int, data: bytes) -> None:
         """Add a message; `time_ns` is the wall clock."""
@@ -176,7 +199,9 @@ class RecordingWriter:
             self._synced = self._disk.submit(os.fdatasync, self._file.fileno())
 
     def close(self) -> None:
-        """Write the index and close the file."""
+        """Write the index and close the file, unless another skin's writer has."""
+        if self._file.closed:
+            return
         try:
             self._writer.finish()
             self._file.flush()
@@ -190,17 +215,64 @@ class RecordingWriter:
             self._file.close()
 
 
+def _open(path: Path) -> _Opened:
+    """Open a new file."""
+    file = path.open("xb")
+    writer = Writer(file, chunk_size=_CHUNK_BYTES)
+    writer.start(PROFILE)
+    return _Opened(file, writer, ThreadPoolExecutor(1, "fdatasync"))
+
+
 def read_about(path: Path) -> About:
-    """Return what a recording says of itself."""
+    """Return what a recording says of itself; InputError for several skins of which `path` names none."""
     about = About({}, {})
     for record in _records(path):
-        if isinstance(record, Metadata) and record.name == METADATA:
+        if isinstance(record, Metadata) and _own(record.name, path) == METADATA:
             about = about._replace(metadata=record.metadata)
-        elif isinstance(record, Attachment):
-            about = about._replace(files={**about.files, record.name: record.data})
+        elif isinstance(record, Attachment) and (name := _own(record.name, path)):
+            about = about._replace(files={**about.files, name: record.data})
         elif isinstance(record, Message):
             break
+    if not about.metadata:
+        part_of(path, None)
     return about
+
+
+def parts_of(path: Path) -> dict[str, Path]:
+    """Return the skins of a recording by name, each as the path that readers take."""
+    found, file = {}, file_of(path)
+    for record in _records(file):
+        if isinstance(record, Metadata) and record.name == METADATA:
+            found[record.metadata.get("skin", "")] = file
+        elif isinstance(record, Metadata) and record.name.endswith(f"/{METADATA}"):
+            name = record.name.removesuffix(f"/{METADATA}")
+            found[name] = file / name
+        elif isinstance(record, Message):
+            break
+    return found
+
+
+def part_of(path: Path, skin: str | None) -> Path:
+    """Return the skin of this name of a recording, as the path that readers take; without a name the path itself.
+
+    Raise InputError if the recording has no such skin, or several, of which none is named.
+    """
+    if skin is None and not is_recording(path):
+        return path
+    parts = parts_of(path)
+    names = f"the skin{'s' * (len(parts) > 1)} {', '.join(map(repr, parts))}"
+    if skin is not None and skin not in parts:
+        raise InputError(f"{path}: has no skin '{skin}', but {names}")
+    if skin is None and parts and path not in parts.values():
+        some = next(iter(parts.values()))
+        raise InputError(f"{path}: {file_of(path).name} has {names}: give --skin NAME, or {some} as its path")
+    return path if skin is None else parts[skin]
+
+
+def _own(name: str, path: Path) -> str:
+    """Return a name of a recording as it is without its skin's; empty if the name is of another skin."""
+    prefix = "" if file_of(path) == path else f"{path.name}/"
+    return name.removeprefix(prefix) if name.startswith(prefix) else ""
 
 
 def newest_file(path: Path, name: str) -> bytes | None:
@@ -215,13 +287,13 @@ def newest_file(path: Path, name: str) -> bytes | None:
         if _summary(file).attachment_indexes:
             file.seek(0)
             for record in make_reader(file).iter_attachments():
-                if record.name == name:
+                if _own(record.name, path) == name:
                     found, is_damaged = record.data, not _is_whole(record, file)
             return _sound(path, name, found, is_damaged)
     for record in _records(path):  # without an index, as after a crash
-        if isinstance(record, Attachment) and record.name == name:
+        if isinstance(record, Attachment) and _own(record.name, path) == name:
             found, is_damaged = record.data, False
-        elif isinstance(record, Damage) and record.file == name:
+        elif isinstance(record, Damage) and _own(record.file, path) == name:
             is_damaged = True
     return _sound(path, name, found, is_damaged)
 
@@ -272,7 +344,7 @@ def read_few(path: Path, topic: Topic) -> Iterator[Read]:
     decode = message_decoder(path, topic)
     with _opened(path) as file:
         summary = _summary(file)
-        channels = {number for number, each in summary.channels.items() if each.topic == topic.name}
+        channels = {number for number, each in summary.channels.items() if _own(each.topic, path) == topic.name}
         for index in _in_order(summary):
             if not channels.isdisjoint(index.message_index_offsets):
                 for each in _indexed_chunk(file, index):
@@ -296,17 +368,18 @@ def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
 
 def read_entries(path: Path, warn: Warn, from_ns: int = 0) -> Iterator[Entry]:
     """Yield the messages of a recording in the order of the file; with an index, without most before a time."""
+    part_of(path, None)
     channels: Mapping[int, Channel] = {}
     first_ns = last_ns = unknown = 0
     for record in _records_from(path, from_ns) if from_ns > 0 else _records(path):
         if isinstance(record, Channel):
-            channels = {**channels, record.id: record}
+            channels = {**channels, record.id: replace(record, topic=_own(record.topic, path))}
         elif isinstance(record, Message):
             first_ns, last_ns = first_ns or record.log_time, record.log_time
             channel = channels.get(record.channel_id)
             if channel is None:
                 unknown += 1
-            else:
+            elif channel.topic:
                 yield Entry(channel.topic, record.log_time, record.data, channel.metadata)
         elif isinstance(record, Gap) and record.is_rest:
             what = "is damaged" if record.has_end else "has no end, as after a crash or on a full disk"
@@ -325,7 +398,7 @@ def read_entries(path: Path, warn: Warn, from_ns: int = 0) -> Iterator[Entry]:
 def _indexed_channels(path: Path) -> Mapping[int, Channel]:
     """Return the topics in the index of a recording by number; none without an index."""
     with _opened(path) as file:
-        return _summary(file).channels
+        return {number: replace(each, topic=_own(each.topic, path)) for number, each in _summary(file).channels.items()}
 
 
 def read_topics(path: Path) -> set[str]:
@@ -335,7 +408,8 @@ def read_topics(path: Path) -> set[str]:
         summary = _summary(file)
         if summary.statistics is not None:
             counts = summary.statistics.channel_message_counts
-            return {summary.channels[number].topic for number, count in counts.items() if count}
+            topics = {_own(summary.channels[number].topic, path) for number, count in counts.items() if count}
+            return topics - {""}
     return {entry.topic for entry in read_entries(path, lambda _: None)}
 
 
@@ -374,7 +448,7 @@ class _Bounded(io.BufferedReader):
 
 
 def _opened(path: Path) -> _Bounded:
-    return _Bounded(io.FileIO(path))
+    return _Bounded(io.FileIO(file_of(path)))
 
 
 def _summary(file: BinaryIO) -> Summary:

@@ -1,14 +1,20 @@
 """``skin record``: a running skin to a file."""
 
 import threading
-import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from functools import partial
+from itertools import islice
+from math import inf
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
-from bus.options import BusOptions, open_links
+from bus.link import Link
+from bus.options import BusOptions, channels, closing_links, open_links
 from calibration.attachment import follow_calibration
 from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
@@ -27,13 +33,14 @@ from canskin.messages import (
 from canskin.peers import Peer
 from dbc.contract import Contract
 from recording import RECORDING_SUFFIX, is_recording
-from recording.recorder import Recorder
-from recording.sinks import check_format, open_sink
+from recording.recorder import Recorder, run
+from recording.sinks import Sink, check_format, open_sinks
 from shell.output import check_new_path
 from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
-from shell.skin_options import SkinOptions
-from skin.layout import Layout
+from shell.skin_options import SkinOptions, hub_layout, knows_layout
+from skin.difference import difference
+from skin.layout import Layout, changed
 from skin.ranges import require_above_zero
 
 TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
@@ -51,8 +58,8 @@ def record(
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
 
     The recorder sends nothing on the buses. With ``--layout`` it needs no other service: frames are recorded from the
-    start, messages as soon as there is a hub. After a crash or on a full disk the file is readable up to its last
-    second.
+    start, messages as soon as there is a hub. All skins that the hub has then are recorded into one file. After a crash
+    or on a full disk the file is readable up to its last second.
 
     Parameters
     ----------
@@ -60,9 +67,9 @@ def record(
         New file: .mcap, with the layout and the contract files attached; or frames alone, in the format of python-can
         that the suffix names: .log (candump), .asc, .blf, .trc, .mf4, .txt, and .csv and .db of a single bus.
     of
-        Which skin.
+        Which skin; default: all on the hub.
     bus
-        CAN interface and channels, as the gateway's.
+        CAN interface and channels, as the gateway's; of several skins the channels of one after the other, by name.
     seconds
         Time to record; default: until a stop signal.
     label
@@ -79,49 +86,41 @@ def record(
     """
     if seconds is not None:
         require_above_zero("--seconds", seconds)
-    stop, of = StopSignal().install(), of or SkinOptions()
-    pulse = Pulse(stop)
+    stop, of, bus = StopSignal().install(), of or SkinOptions(), bus or BusOptions()
     check_new_path(out, "recording")
     check_format(out)
     name = None if label is None else check_label(label.strip())
     _check_kept(out, "--label", name is not None)
     _check_kept(out, "--no-frames", not frames)
-    skin = of.find("recorder", stop)
+    skins = of.find_all("recorder", stop)
     if of.layout is not None:
-        of.compare(skin)
-    check_format(out, skin)
-    contract = Contract.from_layout(skin)
-    names = {number: each.name for number, each in enumerate(skin.bus)}
-    opened = range(len(skin.bus) if frames else 0)
-    links = open_links(skin, bus or BusOptions(), opened, name="recorder", sends=False, stop=stop)
-    joining: threading.Thread | None = None
+        of.compare(skins[0])
+    _check_kept(out, f"the {len(skins)} skins on the hub, without --skin NAME", len(skins) > 1)
+    for skin in skins:
+        check_format(out, skin)
+    parts: list[_Part] = []
     try:
-        now_ns = time.time_ns()
-        sink = open_sink(out, contract, now_ns, now_ns - time.monotonic_ns())
-        recorder = Recorder(links, sink, names)
-        if name:
-            say("record", f"label: {name}")
-            recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=name)))
-        join = partial(_join, of, skin, recorder, stop, pulse)
-        if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
-            joining = threading.Thread(target=join, name="join the fabric")
-            joining.start()
-        say("record", f"{', '.join(names.values()) if frames else 'messages'} to {out}")
-        request_real_time("record")  # else services with it keep messages from coming
-        recorder.run(stop, seconds or float("inf"), pulse.beat)
+        with ExitStack() as closes:
+            opened = [closes.enter_context(closing_links(each)) for each in _open(skins, bus, stop, frames=frames)]
+            sinks = open_sinks(out, [Contract.from_layout(skin) for skin in skins])
+            for skin, links, sink in zip(skins, opened, sinks, strict=True):
+                parts.append(_Part(skin, links, sink, stop))
+                parts[-1].start(of, name)
+            carried = ", ".join(bus.name for skin in skins for bus in skin.bus) if frames else "messages"
+            of_many = f" of {', '.join(skin.name for skin in skins)}" * (len(skins) > 1)
+            say("record", f"{carried}{of_many} to {out}")
+            request_real_time("record")  # else services with it keep messages from coming
+            run([each.recorder for each in parts], stop, seconds or inf)
     except OSError as error:
         reason = error.strerror or error
         raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
     finally:
         stop.set()
-        for link in links.values():
-            link.close()
-        if joining is not None:
-            # A thread that returns from zenoh while the interpreter ends would abort the process.
-            joining.join()
-        if pulse.fabric is not None:
-            pulse.fabric.close()
-    _conclude(recorder, out)
+        for each in parts:
+            each.close()
+    _conclude([each.recorder for each in parts], out)
+    if differs := "; ".join(filter(None, (each.differs for each in parts))):
+        raise RunError(f"{out} has ended: the gateway has another layout now: {differs}. Record it in another file")
 
 
 def _check_kept(out: Path, option: str, is_given: bool) -> None:
@@ -130,40 +129,98 @@ def _check_kept(out: Path, option: str, is_given: bool) -> None:
         raise InputError(f"{option}: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
 
 
-def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, pulse: Pulse) -> None:
-    """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
+class _Part:
+    """What records a skin: its buses and, as soon as there is a hub, what its services send.
 
-    def note(peer: Peer, alive: bool) -> None:
-        if peer.skin == skin.name:
-            recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
+    A gateway that comes back with another layout ends the recording: `differs` tells how.
+    """
 
-    def subscribe(fabric: Fabric) -> None:  # before a program sees the recorder, and sends it marks
-        fabric.watch_peers(note)
-        for topic in TOPICS:
-            fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
+    def __init__(self, skin: Layout, links: dict[int, Link], sink: Sink, stop: StopSignal) -> None:
+        self._skin, self._stop, self._pulse = skin, stop, Pulse(stop)
+        self._joining: threading.Thread | None = None
+        self._started, self.differs = threading.Event(), ""
+        names = {number: each.name for number, each in enumerate(skin.bus)}
+        self.recorder = Recorder(links, sink, names, beat=self._pulse.beat)
 
-    try:
-        fabric = pulse.fabric = of.join(skin, "recorder", stop, prepare=subscribe)
-    except Stopped:
-        return
-    except (BusError, LayoutError) as error:
-        say("record", f"frames alone: {error}")
-        return
-    follow_calibration(fabric, recorder.take_file, stop)
+    def start(self, of: SkinOptions, label: str | None) -> None:
+        """Write the label that holds from the start, and begin to join the fabric."""
+        if label:
+            say("record", f"label: {label}")
+            self.recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=label)))
+        if self.recorder.sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
+            self._joining = threading.Thread(target=self._join, args=(of,), name="join the fabric")
+            self._joining.start()
+
+    def close(self) -> None:
+        """Leave the fabric, after `stop` was set."""
+        if self._joining is not None:
+            # A thread that returns from zenoh while the interpreter ends would abort the process.
+            self._joining.join()
+        if self._pulse.fabric is not None:
+            self._pulse.fabric.close()
+
+    def _join(self, of: SkinOptions) -> None:
+        """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
+        recorder = self.recorder
+
+        def note(peer: Peer, alive: bool) -> None:
+            if peer.skin == self._skin.name:
+                recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
+                if alive and knows_layout(peer):
+                    self._started.set()
+
+        def subscribe(fabric: Fabric) -> None:  # before a program sees the recorder, and sends it marks
+            fabric.watch_peers(note)
+            for topic in TOPICS:
+                fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
+
+        try:
+            fabric = self._pulse.fabric = of.join(self._skin, "recorder", self._stop, prepare=subscribe)
+        except Stopped:
+            return
+        except (BusError, LayoutError) as error:
+            say("record", f"frames alone: {error}")
+            return
+        fabric.clock()  # what is known of it is among the messages
+        follow_calibration(fabric, recorder.take_file, self._stop, partial(self._compare, of.endpoint))
+
+    def _compare(self, endpoint: str) -> None:
+        """End the recording if a gateway has come that has another layout."""
+        if not self._started.is_set():
+            return
+        self._started.clear()
+        with suppress(BusError, Stopped):  # the gateway has left again
+            told = hub_layout(endpoint, self._skin.name, self._stop, service="recorder")
+            if differs := difference(msgspec.to_builtins(self._skin), msgspec.to_builtins(told)):
+                self.differs = differs
+                self.recorder.take_event("record", f"the gateway has another layout now: {differs}")
+                self._stop.set()
 
 
-def _conclude(recorder: Recorder, out: Path) -> None:
+def _open(skins: Sequence[Layout], bus: BusOptions, stop: StopSignal, *, frames: bool) -> Iterator[dict[int, Link]]:
+    """Yield the links of each skin; ``--channel`` names those of all skins, one after the other."""
+    lines = [each for skin in skins for each in skin.bus]
+    named = iter(channels(changed(skins[0], bus=lines), bus) if frames else [])
+    for skin in skins:
+        own = replace(bus, channel=[*islice(named, len(skin.bus))])
+        opened = range(len(skin.bus) if frames else 0)
+        yield open_links(skin, own, opened, name="recorder", sends=False, stop=stop)
+
+
+def _conclude(recorders: Sequence[Recorder], out: Path) -> None:
     """Log what was recorded."""
-    if not recorder.frames + recorder.messages:
+    frames, messages = sum(each.frames for each in recorders), sum(each.messages for each in recorders)
+    if not frames + messages:
         raise RunError(f"{out}: nothing came: no frame and no message. Are buses and services those of this layout?")
     size_mb = out.stat().st_size / 1e6
-    say("record", f"{recorder.frames} frames and {recorder.messages} messages in {out}, {size_mb:.1f} MB")
-    missed = ", ".join(f"{count} {topic}" for topic, count in recorder.missed.counts().items())
-    if missed and recorder.messages:
+    say("record", f"{frames} frames and {messages} messages in {out}, {size_mb:.1f} MB")
+    counts: Counter[str] = Counter()
+    for each in recorders:
+        counts.update(each.missed.counts())
+    missed = ", ".join(f"{count} {topic}" for topic, count in counts.items())
+    if missed and messages:
         say("record", f"messages that never came, because the fabric drops them on a busy machine: {missed}")
-    if recorder.left_out:
-        say(
-            "record", f"{recorder.left_out} error, remote or CAN FD frames are missing: {out.suffix} does not hold them"
-        )
-    if recorder.lost:
-        say("record", f"{recorder.lost} frames or messages came too fast for this machine and are missing")
+    if left_out := sum(each.left_out for each in recorders):
+        say("record", f"{left_out} error, remote or CAN FD frames are missing: {out.suffix} does not hold them")
+    if lost := sum(each.lost for each in recorders):
+        say("record", f"{lost} frames or messages came too fast for this machine and are missing")

@@ -1,8 +1,9 @@
-"""The recorder: reads buses and fabric, and writes to a sink. It sends nothing on the buses."""
+"""The recorder of a skin: reads buses and fabric, and writes to a sink. It sends nothing on the buses."""
 
+import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from bus.link import Link, State
@@ -40,6 +41,8 @@ class Recorder:
         Of the buses, for the log.
     wall_ns, mono_ns : callable
         The clocks.
+    beat : callable
+        Called in each turn with what was written so far.
 
     Attributes
     ----------
@@ -59,11 +62,12 @@ class Recorder:
         *,
         wall_ns: Callable[[], int] = time.time_ns,
         mono_ns: Callable[[], int] = time.monotonic_ns,
+        beat: Beat = unheard,
     ) -> None:
         self.frames = self.messages = self.left_out = 0
         self.missed = Missed()
-        self._links, self._sink, self._names = dict(links), sink, names
-        self._wall_ns, self._mono_ns = wall_ns, mono_ns
+        self._links, self.sink, self._names = dict(links), sink, names
+        self._wall_ns, self._mono_ns, self._beat = wall_ns, mono_ns, beat
         self._waiting: deque[_Waiting] = deque()
         self._files: deque[File] = deque()
         self._lost_messages = 0
@@ -92,27 +96,6 @@ class Recorder:
         """Take an attachment; from any thread."""
         self._files.append(file)
 
-    def run(self, stop: StopSignal, until_s: float = float("inf"), beat: Beat = unheard) -> None:
-        """Record until `stop`, or for `until_s` seconds.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be written; what was written before is readable.
-        """
-        end_s = time.monotonic() + until_s
-        try:
-            while not stop.is_set() and time.monotonic() < end_s:
-                time.sleep(TURN_S)
-                self.turn()
-                beat(self.frames + self.messages)
-            self.turn()
-            self._tell_counters()
-            self._sink.close()
-        except OSError:
-            self._sink.abandon()
-            raise
-
     def turn(self) -> None:
         """Write what has come since the last turn; make it readable when it is time.
 
@@ -128,7 +111,7 @@ class Recorder:
                 arrived = link.receive()
                 if not len(arrived):
                     break
-                held = self._sink.frames(number, arrived, now_ns, offset_ns)
+                held = self.sink.frames(number, arrived, now_ns, offset_ns)
                 self.frames += held
                 self.left_out += len(arrived) - held
             self._look(number, link)
@@ -136,18 +119,19 @@ class Recorder:
             time_ns, topic, content = self._waiting.popleft()
             if topic is not None and isinstance(content, bytes):
                 self.messages += topic is not MARK
-                self._sink.message(topic, time_ns, content)
+                self.sink.message(topic, time_ns, content)
             elif not isinstance(content, bytes):
-                self._sink.note(EVENTS, time_ns, content)
+                self.sink.note(EVENTS, time_ns, content)
         while self._files:
-            self._sink.attach(self._files.popleft(), now_ns)
+            self.sink.attach(self._files.popleft(), now_ns)
         if self._mono_ns() - self._flush_ns >= FLUSH_S * 1e9:
             self._flush_ns = self._mono_ns()
-            self._tell_counters()
-            self._sink.flush()
+            self.tell_counters()
+            self.sink.flush()
+        self._beat(self.frames + self.messages)
 
     def _wait(self, one: _Waiting) -> None:
-        if not self._sink.has_messages:
+        if not self.sink.has_messages:
             return
         if len(self._waiting) >= MOST_WAITING:
             self._lost_messages += 1
@@ -163,7 +147,14 @@ class Recorder:
             say("record", text)
             self.take_event("record", text)
 
-    def _tell_counters(self) -> None:
+    def tell_counters(self) -> None:
+        """Write the counters.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
+        """
         now_ns = self._wall_ns()
         values = {
             "frames": self.frames,
@@ -173,4 +164,29 @@ class Recorder:
             "lost_frames": {self._names[number]: link.dropped for number, link in self._links.items()},
             "wall_offset_ns": now_ns - self._mono_ns(),
         }
-        self._sink.note(RECORDER, now_ns, values)
+        self.sink.note(RECORDER, now_ns, values)
+
+
+def run(recorders: Sequence[Recorder], stop: StopSignal, until_s: float = math.inf) -> None:
+    """Record until `stop`, or for `until_s` seconds; of many skins, all into one file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; what was written before is readable.
+    """
+    end_s = time.monotonic() + until_s
+    try:
+        while not stop.is_set() and time.monotonic() < end_s:
+            time.sleep(TURN_S)
+            for each in recorders:
+                each.turn()
+        for each in recorders:
+            each.turn()
+            each.tell_counters()
+        for each in recorders:
+            each.sink.close()
+    except OSError:
+        for each in recorders:
+            each.sink.abandon()
+        raise

@@ -22,9 +22,9 @@ from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import warm_up
-from recording import RECORDING_SUFFIX, is_recording
+from recording import RECORDING_SUFFIX, file_of, is_recording
 from recording.image_arrays import ImageArrays
-from recording.mcap_file import CALIBRATION_FILE, File, newest_file, recording_id, wall_offset_ns
+from recording.mcap_file import CALIBRATION_FILE, File, newest_file, part_of, recording_id, wall_offset_ns
 from recording.replaying import Replay
 from recording.run_steps import steps_of
 from recording.sinks import McapSink
@@ -42,6 +42,7 @@ def replay(
     source: Path,
     *,
     layout: Path | None = None,
+    skin_: str | None = None,
     speed: float | None = None,
     out: Path | None = None,
     listen: str | None = None,
@@ -65,6 +66,8 @@ def replay(
         A recording (.mcap), or a log of candump (-l), ASC, BLF or any other format that python-can reads.
     layout
         TOML of the skin; default: the layout in the recording, for a log the default skin.
+    skin_
+        Name of the skin, where the recording has several.
     speed
         2 plays twice as fast as the run, inf as fast as possible. Default: 1 on a hub, inf into a file.
     out
@@ -95,6 +98,7 @@ def replay(
     skin replay run.mcap --out images.npz --solver paper
     """
     _check(source, speed, out)
+    source = part_of(source, skin_)
     check_listen(listen or DEFAULT_ENDPOINT, insecure=insecure)
     stop = StopSignal().install()
     skin = load_layout(source if is_recording(source) and layout is None else layout)
@@ -148,7 +152,7 @@ def _check(source: Path, speed: float | None, out: Path | None) -> None:
                 f"{out}: expected a name that ends in {RECORDING_SUFFIX}, or in {_ARRAYS} for images alone"
             )
         check_new_path(out, "replay")
-    if not source.is_file():
+    if not file_of(source).is_file():
         raise InputError(f"no file '{source}': expected a recording of 'skin record', or a CAN log")
 
 

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
@@ -76,7 +78,7 @@ def steps_of(
     """
     warn = partial(say, "replay")
     if not is_recording(path):
-        return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator)
+        return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator, warn)
     topics = read_topics(path)
     is_measured = MEASUREMENT.name in topics
     if calibrator is not None and is_measured:
@@ -107,7 +109,9 @@ def frames_of_log(layout: Layout, path: Path, channel: list[str] | None, warn: W
     return of_buses(layout, names, read_log(path, warn), path, named_by_user=bool(channel))
 
 
-def _logged(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrator | None) -> Iterator[Step]:
+def _logged(
+    contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrator | None, warn: Warn
+) -> Iterator[Step]:
     pace = StatusPace()
     for part in play(contract, logged, calibrator):
         for bus, seen in part.frames.items():
@@ -119,6 +123,8 @@ def _logged(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibr
                 yield MessageStep(each.time_ns, GATEWAY, part.status)
     if contract.layout.sends.in_cycles:
         check_named(part.status)
+        if not part.status.cycles_complete:
+            warn(f"none of {part.status.cycles} cycles is complete: is a board missing, or have the buses two clocks?")
 
 
 class _Recorded:
@@ -181,7 +187,7 @@ class _Recorded:
         message = decode(entry.data)
         if entry.topic == MEASUREMENT.name:
             self._check(message)
-            self._add(MeasurementStep(entry.time_ns, message))
+            self._add(MeasurementStep(entry.time_ns, msgspec.structs.replace(message, duty="")))  # who is not here now
         elif entry.topic == IMAGE.name:
             self._images.keep(message)
         elif entry.topic == LABEL.name:

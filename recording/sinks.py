@@ -3,7 +3,8 @@
 import contextlib
 import platform
 import sqlite3
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -88,11 +89,23 @@ class McapSink(RecordingWriter):
     ----------
     recording : str
         See `recording.mcap_file.RECORDING`; default: name of the skin and time.
+    part, other
+        As of `RecordingWriter`.
     """
 
     has_messages = True
 
-    def __init__(self, path: Path, contract: Contract, now_ns: int, offset_ns: int, recording: str = "") -> None:
+    def __init__(
+        self,
+        path: Path,
+        contract: Contract,
+        now_ns: int,
+        offset_ns: int,
+        recording: str = "",
+        *,
+        part: str = "",
+        other: RecordingWriter | None = None,
+    ) -> None:
         layout = contract.layout
         metadata = {
             "skin": layout.name,
@@ -105,7 +118,7 @@ class McapSink(RecordingWriter):
         }
         files = [File(LAYOUT_FILE, "application/toml", layout_text(layout).encode())]
         files += [File(name, "text/plain", text.encode()) for name, text in contract_files(contract).items()]
-        super().__init__(path, metadata, files, now_ns)
+        super().__init__(path, metadata, files, now_ns, part=part, other=other)
         self._topics = [FRAMES + bus.name for bus in layout.bus]
         self._data_bytes = [FD_BYTES if bus.fd else CLASSIC_BYTES for bus in layout.bus]
         for number, bus in enumerate(layout.bus):
@@ -233,6 +246,23 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
         return LogSink(path, contract.layout)
     except (ImportError, NotImplementedError) as error:  # asammdf is not installed
         raise InputError(f"{path}: python-can cannot write {path.suffix} here: {error}") from error
+
+
+def open_sinks(path: Path, contracts: Sequence[Contract]) -> Sequence[Sink]:
+    """Open a new file for several skins, a recording; of one skin see `open_sink`.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    now_ns = time.time_ns()
+    offset_ns, first, *others = now_ns - time.monotonic_ns(), *contracts
+    if not others:
+        return [open_sink(path, first, now_ns, offset_ns)]
+    sink = McapSink(path, first, now_ns, offset_ns, part=first.layout.name)
+    more = [McapSink(path, each, now_ns, offset_ns, part=each.layout.name, other=sink) for each in others]
+    return [sink, *more]
 
 
 def check_format(path: Path, layout: Layout | None = None) -> None:

@@ -46,7 +46,8 @@ class Pulse:
     def __init__(self, stop: Stop, clock: Callable[[], float] = time.monotonic) -> None:
         self.fabric: Fabric | None = None
         self._stop, self._clock = stop, clock
-        self._due_s = clock()
+        self._due_s = self._told_s = clock()
+        self._processor_s = time.process_time()
         WATCHDOG.begin()
         self._period_s = min(PERIOD_S, WATCHDOG.limit_s / 2 or PERIOD_S)
 
@@ -63,11 +64,15 @@ class Pulse:
         self._due_s = now_s + self._period_s
         WATCHDOG.feed()
         if self.fabric is not None:
+            before_s, self._processor_s = self._processor_s, time.process_time()
+            load_ratio = (self._processor_s - before_s) / max(now_s - self._told_s, 1e-9)
+            self._told_s = now_s
             with suppress(DeniedError):  # of a role that may not: the service itself works
-                self.fabric.publish(SERVICES, _status(self.fabric, made))
+                self.fabric.publish(SERVICES, _status(self.fabric, made, load_ratio))
 
 
-def _status(fabric: Fabric, made: int) -> ServiceStatus:
+def _status(fabric: Fabric, made: int, load_ratio: float) -> ServiceStatus:
+    clock_offset_ns, clock_error_ns = fabric.clock_ns
     is_thread = isinstance(threading.current_thread(), ServiceThread)
     return ServiceStatus(
         time_ns=time.time_ns(),
@@ -78,6 +83,9 @@ def _status(fabric: Fabric, made: int) -> ServiceStatus:
         missed=sum(fabric.missed.counts().values()),
         overruns=fabric.overruns,
         made=made,
+        load_ratio=load_ratio,
+        clock_offset_ns=clock_offset_ns,
+        clock_error_ns=clock_error_ns,
     )
 
 

@@ -12,12 +12,23 @@ import msgspec
 from cyclopts import Parameter
 
 from canskin.description import DESCRIPTION, LAYOUT, LayoutReply, LayoutRequest
-from canskin.errors import BusError, DeniedError, InputError, LayoutError, Stopped
+from canskin.errors import BusError, DeniedError, InputError, LayoutError, Stopped, tell
 from canskin.fabric import Fabric
 from canskin.keys import accepts, environment_keys
 from canskin.peers import GATEWAYS, Peer
 from canskin.roles import Action, refusal
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, checked, find_skin, is_loopback, is_open, peers_at
+from canskin.session import (
+    DEFAULT_ENDPOINT,
+    LOOK_S,
+    Stop,
+    Words,
+    checked,
+    find_skin,
+    is_loopback,
+    is_open,
+    peers_at,
+)
+from canskin.skin_clock import TIME, time_reply
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -86,12 +97,25 @@ class SkinOptions:
         given = self.layout
         if given is None and is_recording(recording):
             given = recording
-        if given is None and (needs_hub or self.connect or self.skin or (not recording and is_told(self.endpoint))):
+        if given is None and (needs_hub or self.connect or self.skin or (not recording and told_skins(self.endpoint))):
             return hub_layout(self.endpoint, self.skin, stop, patience_s=PATIENCE_S, service=service)
         layout = load_layout(given)
         if self.skin not in {None, layout.name}:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
         return layout
+
+    def find_all(self, service: str, stop: Stop) -> list[Layout]:
+        """Return the layouts of all skins on the hub, by name; with an option that names a skin that of the skin.
+
+        Raises as `find`.
+        """
+        if self.layout is not None or self.skin is not None:
+            return [self.find(service, stop)]
+        words = _WORDS._replace(service=service)
+        found = find_skin(self.endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=words, stop=stop, is_one=False)
+        return [
+            hub_layout(self.endpoint, name, stop, service=service) for name in sorted({each.skin for each in found})
+        ]
 
     def require_right(self, action: Action, name: str) -> None:
         """Raise DeniedError if the role of the keys may not do an action, before a skin is looked for."""
@@ -113,8 +137,6 @@ class SkinOptions:
         ------
         LayoutError
             If ``--layout`` differs from the layout on the hub.
-        BusError
-            If only other skins are on the hub.
         """
         fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s, prepare=prepare)
         try:
@@ -126,7 +148,11 @@ class SkinOptions:
         return fabric
 
     def compare(self, layout: Layout, instance: str = "", stop: Stop | None = None) -> None:
-        """Raise as `join` if a hub is there now, and another service than `instance` tells a layout."""
+        """Raise as `join` if a hub is there now, and another service than `instance` tells a layout.
+
+        Where other skins alone are there, the services of this skin may come later: they are waited for, then a line
+        names the others.
+        """
         try:  # a connection of its own: that of a service knows the others only after a while
             fabric = Fabric(layout.name, "", self.endpoint, stop=stop, patience_s=GLANCE_S)
         except BusError:
@@ -151,10 +177,8 @@ class SkinOptions:
                 raise Stopped
             if time.monotonic() > give_up_s:
                 found = ", ".join(sorted({f"'{each.skin}'" for each in others}))
-                raise BusError(
-                    f"no skin '{layout.name}' ({self.layout}) at {self.endpoint}, found {found}: leave --layout out, or"
-                    " give another --connect"
-                )
+                tell("skin", f"no service of '{layout.name}' ({self.layout}) is at {self.endpoint} yet, found {found}")
+                return
             time.sleep(LOOK_S)
 
 
@@ -190,12 +214,13 @@ def join(
 ) -> Fabric:
     """Return the connection of a service that knows its layout; a gateway tells it whoever asks. See `Fabric`."""
 
-    def tell(fabric: Fabric) -> None:  # before the others see the service: then they ask
+    def describe_it(fabric: Fabric) -> None:  # before the others see the service: then they ask
         if service in GATEWAYS:
             about, told = describe(layout), LayoutReply(layout_text(layout))
             check_bytes(len(told.toml), LayoutError, f"the text of layout '{layout.name}'")
             fabric.answer(LAYOUT, lambda _request, reply: reply(told))
             fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
+            fabric.answer(TIME, lambda _request, reply: reply(time_reply()))
         prepare(fabric)
 
     return Fabric(
@@ -206,7 +231,7 @@ def join(
         stop=stop,
         fingerprint=layout.operator().fingerprint,
         patience_s=patience_s,
-        prepare=tell,
+        prepare=describe_it,
     )
 
 
@@ -225,17 +250,16 @@ def hub_layout(
         return _told(fabric, peer, endpoint, patience_s)
 
 
-def is_told(endpoint: str) -> bool:
-    """Tell whether a layout is told at an endpoint now."""
-
-    def is_known(peers: list[Peer]) -> bool:
-        return any(map(knows_layout, peers))
-
+def told_skins(endpoint: str) -> list[str]:
+    """Return the names of the skins whose layout is told at an endpoint now; none, and no wait, without a hub."""
     try:
         endpoint, keys = checked(endpoint, environment_keys())
-        return accepts(endpoint) and is_known(peers_at(endpoint, GLANCE_S, is_known, keys=keys))
+        if not accepts(endpoint):
+            return []
+        peers = peers_at(endpoint, GLANCE_S, lambda found: any(map(knows_layout, found)), keys=keys)
     except BusError:
-        return False
+        return []
+    return sorted({peer.skin for peer in peers if knows_layout(peer)})
 
 
 def knows_layout(peer: Peer) -> bool:

@@ -55,6 +55,13 @@ class BusWire(Wire):
     def plug(self) -> None:
         self._stations[self.nodes] = self.bus.attach("nodes")
 
+    def exchange(self, other: "BusWire") -> None:
+        """Exchange the boards with those of another wire."""
+        mine, theirs = self._stations.pop(self.nodes), other._stations.pop(other.nodes)
+        self.nodes, other.nodes = other.nodes, self.nodes
+        self._stations[self.nodes], other._stations[other.nodes] = mine, theirs
+        self.nodes.wire, other.nodes.wire = self, other
+
     def unplug_others(self) -> None:
         """Take everybody off the bus who is no part of the skin, with what waits there."""
         self.bus.detach(self._stations.pop(None))

@@ -565,7 +565,7 @@ def swap_mapping(skin: Skin, bus: int, node_id: int, tpdo: int = 0, *, back: boo
 
 
 #: Disturbances in each of the four cases: the same ones in every run, or as many random ones as wanted.
-DISTURBANCES: Final = int(os.environ.get("SKIN_DISTURBANCES", "2600"))
+DISTURBANCES: Final = int(os.environ.get("SKIN_DISTURBANCES", "1300"))
 
 
 RANDOM: Final = settings(

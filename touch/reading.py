@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import IMAGE, TRUTH
-from recording import RECORDING_SUFFIX, is_recording
+from recording import RECORDING_SUFFIX, file_of, is_recording
 from shell.service import say
 from skin.limits import check_unpacked
 
@@ -33,9 +33,9 @@ def read_counts(path: Path, arrays: Sequence[str] | None) -> tuple[Counts, ...]:
     arrays : sequence of str, optional
         Arrays of an ``.npz`` or ``.mcap``, in this order; default: the first array in the file of three axes.
     """
-    if not path.is_file():
+    if not file_of(path).is_file():
         raise InputError(f"no recording at '{path}': expected a .npz, .npy or .mcap file")
-    suffix = path.suffix.lower()
+    suffix = file_of(path).suffix.lower()
     if suffix in _CAN_LOGS:
         raise InputError(
             f"'{path}' is a log of frames: make its images with 'skin replay {path} --out images.npz', and play those"

@@ -20,11 +20,12 @@ import zenoh
 
 from canskin.errors import UNDECODABLE, BusError, DeniedError, tell
 from canskin.keys import Keys, environment_keys
-from canskin.messages import IMAGE, MEASUREMENT, Topic
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS, Topic
 from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
 from canskin.roles import Action, refusal
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, checked, first_sentence, open_client, open_hub, peers_of
+from canskin.skin_clock import CLOCK_S, TIME, SkinClock, TimeRequest
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.
@@ -41,6 +42,10 @@ WAKE_S: Final = 0.1
 _KEPT_MIN: Final = 64
 #: Messages that pass between services of one process as they are: nobody can change them, their arrays are bytes.
 _HANDED_OVER: Final = (MEASUREMENT, IMAGE)
+#: Messages that several services may make of one measurement, see `Rising`.
+_MADE_OF_CYCLES: Final = (IMAGE, CONTACTS, LABEL)
+#: Once nobody has published for this time, any message is taken: the clock of a robot that boots begins anew.
+FORGET_S: Final = 1.0
 #: Most messages of this process that wait for a reader with a callback.
 _WAITING_MAX: Final = 256
 #: Most publishers and topics whose losses are counted, and most differences of other services that are logged.
@@ -80,12 +85,12 @@ class Missed:
     """Counts the messages that the fabric dropped, by the gaps in the numbers of each publisher and topic."""
 
     def __init__(self) -> None:
-        self._expected: dict[tuple[str, str], int] = {}
-        self._counts: Counter[tuple[str, str]] = Counter()
+        self._expected: dict[tuple[str, str, object], int] = {}
+        self._counts: Counter[tuple[str, str, object]] = Counter()
 
-    def take(self, topic: str, origin: Origin) -> None:
-        """Take note of a message."""
-        key = topic, origin.publisher
+    def take(self, topic: str, origin: Origin, reader: object = None) -> None:
+        """Take note of a message; of several readers of a topic, each has gaps of its own."""
+        key = topic, origin.publisher, reader
         expected = self._expected.get(key, origin.number)
         # A number below the expected one was counted as missed, and came after its successor.
         self._counts[key] += origin.number - expected if origin.number >= expected else -1
@@ -101,9 +106,34 @@ class Missed:
         A publisher that repeats numbers hides no loss of another.
         """
         totals: Counter[str] = Counter()
-        for (topic, _), missing in (+self._counts.copy()).items():
+        for (topic, *_), missing in (+self._counts.copy()).items():
             totals[topic] += missing
         return dict(sorted(totals.items()))
+
+
+class _Sampled(msgspec.Struct):
+    sampled_mono_ns: int
+
+
+_SAMPLED: Final = msgspec.msgpack.Decoder(_Sampled)
+
+
+class Rising:
+    """Refuses what is no newer than a message of another publisher, for the reader of a topic.
+
+    The gateway names one publisher for each cycle. A publisher that stood still is replaced; when it goes on, what it
+    still sends is late.
+    """
+
+    def __init__(self) -> None:
+        self._publisher, self._newest_ns, self._heard_s = "", 0, -math.inf
+
+    def takes(self, publisher: str, sampled_ns: int, now_s: float) -> bool:
+        """Tell whether a message that comes now, of a sampling instant, is taken."""
+        if publisher != self._publisher and sampled_ns <= self._newest_ns and now_s - self._heard_s < FORGET_S:
+            return False
+        self._publisher, self._newest_ns, self._heard_s = publisher, sampled_ns, now_s
+        return True
 
 
 class Mailbox(Generic[Message]):
@@ -225,14 +255,19 @@ class Shared:
 
     def enter(self, open_session: Callable[[], Any]) -> Any:
         """Return the session for one more service."""
-        session = open_session() if self.session is None else self.session
+        if (session := self._joined(None)) is None:
+            opened = open_session()  # may wait for a hub: the others are to open and leave meanwhile
+            session = self._joined(opened)
+            if session is not opened:  # another has opened one meanwhile
+                opened.close()
+        return session
+
+    def _joined(self, opened: Any) -> Any:
+        """Return the session, `opened` where there is none; count one more service where there is one now."""
         with self._lock:
-            if self.session is None:
-                self.session = session
-            self._services += 1
-        if session is not self.session:  # another has opened one meanwhile
-            session.close()
-        return self.session
+            self.session = opened if self.session is None else self.session
+            self._services += self.session is not None
+            return self.session
 
     def leave(self) -> None:
         """Close the session after its last service."""
@@ -260,7 +295,7 @@ class Fabric:
     stop : Stop, optional
         If set while the constructor waits for the hub, `canskin.errors.Stopped` is raised.
     fingerprint : str
-        Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
+        Of this service's Φ. The other services see the fingerprint. Services of the skin with another Φ or another
         version are named in the log.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
@@ -275,6 +310,8 @@ class Fabric:
         Messages and requests that could not be decoded.
     missed : Missed
         Messages that did not come: this program, or its connection, was too slow.
+    late : int
+        Messages that were refused, see `Rising`.
     shared : Shared or None
         Of a process with several services, which sets it before the first of them is connected, and gives all of them
         the same endpoint and keys. A service without a name has a session of its own there, too.
@@ -302,7 +339,7 @@ class Fabric:
         prepare: "Callable[[Fabric], None]" = lambda _: None,
     ) -> None:
         self._shared = self.shared if service else None
-        self.malformed = 0
+        self.malformed = self.late = 0
         self.missed = Missed()
         self._peer = new_peer(skin, service, fingerprint)
         self._differences: set[str] = set()
@@ -327,6 +364,7 @@ class Fabric:
         else:
             open_session = partial(open_client, endpoint, service, stop, patience_s, keys=keys)
         self._closed = threading.Event()
+        self._clock: SkinClock | None = None
         self._token: Any = None
         self._elsewhere = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
         self._session = open_session() if self._shared is None else self._shared.enter(open_session)
@@ -382,31 +420,37 @@ class Fabric:
         for read in [*publisher.readers]:  # others may come and go
             read(message if is_handed_over else content, origin)
 
-    def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
-        """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
+    def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> Callable[[], None]:
+        """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick.
+
+        Return what ends the calls.
+        """
 
         def take(unread: Unread) -> None:
             message = unread()
             if message is not None:
                 handler(message)
 
-        self.subscribe_unread(topic, take)
+        return self.subscribe_unread(topic, take)
 
-    def subscribe_unread(self, topic: Topic, handler: Callable[[Unread], None]) -> None:
+    def subscribe_unread(self, topic: Topic, handler: Callable[[Unread], None]) -> Callable[[], None]:
         """Call `handler` with every message of `topic`, not decoded; for readers that do not need all messages.
 
-        `malformed` counts a message that cannot be decoded when somebody reads it.
+        `malformed` counts a message that cannot be decoded when somebody reads it. Return what ends the calls.
         """
         decode = self._decoder(topic)
-        self._receive(topic, lambda content, _origin: handler(partial(decode, content)))
+        return self._receive(topic, lambda content, _origin: handler(partial(decode, content)))
 
-    def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes, Origin | None], None]) -> None:
-        """Call `handler` with the bytes of every message of `topic`, not decoded, and its origin, if it tells one."""
+    def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes, Origin | None], None]) -> Callable[[], None]:
+        """Call `handler` with the bytes of every message of `topic`, not decoded, and its origin, if it tells one.
+
+        Return what ends the calls.
+        """
 
         def receive(content: Any, origin: Origin | None) -> None:
             handler(content if isinstance(content, bytes) else msgspec.msgpack.encode(content), origin)
 
-        self._receive(topic, receive)
+        return self._receive(topic, receive)
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
         """Return a mailbox that holds the newest `depth` messages of `topic`, for one thread."""
@@ -416,11 +460,10 @@ class Fabric:
             put = mailbox.put
             self._receive(topic, lambda content, _origin: put(content), is_quick=True)
         else:
-            ring = self._subscribe(topic, zenoh.handlers.RingChannel(max(depth, _KEPT_MIN)))
+            ring = self._subscribe(topic, zenoh.handlers.RingChannel(max(depth, _KEPT_MIN))).handler
             wake = threading.Thread(target=self._wake, args=(topic,), name="mailbox").start
-            mailbox = _RingMailbox(
-                depth, lambda payload: decode(payload.to_bytes()), ring, partial(self._is_message, topic), wake
-            )
+            is_message = partial(self._is_message, topic, Rising())
+            mailbox = _RingMailbox(depth, lambda payload: decode(payload.to_bytes()), ring, is_message, wake)
         if depth > 1:
             self._mailboxes.append(mailbox)
         return mailbox
@@ -504,6 +547,31 @@ class Fabric:
         """Return the services of all skins that are on the hub now; with a name of its own not at once all of them."""
         return peers_of(self._session)
 
+    def clock(self, of: str = "") -> SkinClock:
+        """Return the clock of the skin, which a thread follows from now on.
+
+        Parameters
+        ----------
+        of : str, optional
+            `canskin.skin_clock.machine` of the gateway, if it is known.
+        """
+        clock = self._clock = SkinClock(of)
+        ask = partial(self.ask, TIME, TimeRequest(), CLOCK_S)
+
+        def follow() -> None:
+            while threading.main_thread().is_alive() and not self._closed.wait(clock.period_s):
+                with suppress(zenoh.ZError):  # the connection is closed now
+                    clock.look(ask)
+
+        clock.look(ask)
+        threading.Thread(target=follow, name="clock").start()
+        return clock
+
+    @property
+    def clock_ns(self) -> tuple[int, int]:
+        """Offset and error of `clock`, see `canskin.messages.ServiceStatus`."""
+        return (0, UNKNOWN_ERROR_NS) if self._clock is None else self._clock.known()
+
     def close(self) -> None:
         """Close the connection after all published messages are sent."""
         self._closed.set()
@@ -562,25 +630,41 @@ class Fabric:
             f"{self._prefix}/{topic.name}", handler, allowed_origin=self._elsewhere
         )
         self._kept.append(subscriber)
-        return subscriber.handler
+        return subscriber
 
-    def _receive(self, topic: Topic, receive: Callable[[Any, Origin | None], None], *, is_quick: bool = False) -> None:
+    def _receive(
+        self, topic: Topic, receive: Callable[[Any, Origin | None], None], *, is_quick: bool = False
+    ) -> Callable[[], None]:
         """Call `receive` with the bytes of every message and its origin; of this process, with the message itself.
 
         A message of this process comes in the thread that publishes where `receive` is quick, else in another: a
-        publisher, such as the gateway, waits for no reader.
+        publisher, such as the gateway, waits for no reader. Return what ends the calls.
         """
+        rising = Rising()
 
-        def take(sample: Any) -> None:
-            origin = self._note(topic, sample)
+        def take(content: Any, origin: Origin | None) -> None:
+            if self._is_in_time(topic, rising, content, origin):
+                receive(content, origin)
+
+        def take_sample(sample: Any) -> None:
+            origin = self._note(topic, rising, sample)
             if len(sample.payload) > 0:
-                receive(sample.payload.to_bytes(), origin)
+                take(sample.payload.to_bytes(), origin)
 
-        self._subscribe(topic, take)
+        subscriber, own = self._subscribe(topic, take_sample), None
         if self._shared is not None:
-            own = self._shared.readers[f"{self._prefix}/{topic.name}"], receive if is_quick else self._queued(receive)
+            own = self._shared.readers[f"{self._prefix}/{topic.name}"], take if is_quick else self._queued(take)
             self._own_readers.append(own)
             own[0].append(own[1])
+
+        def end() -> None:
+            self._kept.remove(subscriber)
+            subscriber.undeclare()
+            if own is not None:
+                self._own_readers.remove(own)
+                own[0].remove(own[1])
+
+        return end
 
     def _queued(self, receive: Reader) -> Reader:
         """Return what has `receive` called in a thread of this connection."""
@@ -594,19 +678,35 @@ class Fabric:
     def _hand_over(self, waiting: Mailbox[Any]) -> None:
         while not self._closed.is_set():
             if (read := waiting.get()) is not None:
-                read()
+                try:
+                    read()
+                except Exception as error:  # noqa: BLE001  as zenoh, which goes on with the next message
+                    tell(self.service, f"a message was not taken: {type(error).__name__}: {error}", logging.ERROR)
 
-    def _note(self, topic: Topic, sample: Any) -> Origin | None:
-        """Count what is missing before a sample, and return its origin."""
+    def _note(self, topic: Topic, reader: object, sample: Any) -> Origin | None:
+        """Count what is missing for a reader before a sample, and return its origin."""
         origin = _origin_of(sample.attachment)
         if origin is not None:
-            self.missed.take(topic.name, origin)
+            self.missed.take(topic.name, origin, reader)
         return origin
 
-    def _is_message(self, topic: Topic, sample: Any) -> bool:
-        """Count what is missing before a sample; tell whether the sample is more than that of `_wake`."""
-        self._note(topic, sample)
-        return len(sample.payload) > 0
+    def _is_message(self, topic: Topic, rising: Rising, sample: Any) -> bool:
+        """Count what is missing before a sample; tell whether the sample is more than that of `_wake`, and in time."""
+        origin = self._note(topic, rising, sample)
+        return len(sample.payload) > 0 and self._is_in_time(topic, rising, sample.payload, origin)
+
+    def _is_in_time(self, topic: Topic, rising: Rising, content: Any, origin: Origin | None) -> bool:
+        """Tell whether a reader takes a message: its bytes, zenoh's payload, or the message itself."""
+        if topic not in _MADE_OF_CYCLES or origin is None:
+            return True
+        try:
+            is_message = isinstance(content, msgspec.Struct)
+            sampled_ns = (content if is_message else _SAMPLED.decode(bytes(content))).sampled_mono_ns
+        except UNDECODABLE:  # counted when it is read
+            return True
+        is_in_time = rising.takes(origin.publisher, sampled_ns, time.monotonic())
+        self.late += not is_in_time
+        return is_in_time
 
     def _wake(self, topic: Topic) -> None:
         """Send whoever waits for messages of a topic in this process an empty sample: a wait of zenoh has no end."""
@@ -632,8 +732,8 @@ class Fabric:
         return decode_or_count
 
     def _compare(self, peer: Peer, alive: bool) -> None:
-        """Log, once per difference, that a service cannot work with this service."""
-        if peer.instance == self._peer.instance:
+        """Log services of this skin that come and go, and once per difference that one cannot work with this one."""
+        if peer.instance == self._peer.instance or peer.skin != self._peer.skin:
             return
         if self._others.note(peer.service, peer.key, alive):
             tell(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", logging.INFO)

@@ -72,6 +72,9 @@ class Measurement(Told, frozen=True, kw_only=True):
         Bits of `numpy.packbits`, row-major, shape (ceil(n / 8),): 1 for taxels whose force may be an error of the zero,
         for example of a warm patch, or of gains that nobody has accepted. Empty if no taxel is doubtful.
         `canskin.sums.doubtful_taxels` decodes them.
+    duty : str
+        ``SERVICE=INSTANCE``, a space between two: the instance of each service (`canskin.peers.Peer`) that publishes
+        what it makes of this measurement. Other instances stand by. Services that are not named here all publish.
     """
 
     cycle: int
@@ -86,6 +89,11 @@ class Measurement(Told, frozen=True, kw_only=True):
     sampled_error_ns: int = UNKNOWN_ERROR_NS
     wall_offset_ns: int = 0
     bus_sampled_ns: bytes = b""
+    duty: str = ""
+
+    def names(self, service: str, instance: str) -> bool:
+        """Tell whether an instance of a service publishes what it makes of this measurement."""
+        return f"{service}={instance}" in self.duty.split() or f"{service}=" not in self.duty
 
     @property
     def time_ns(self) -> int:
@@ -142,7 +150,8 @@ class Image(msgspec.Struct, frozen=True, kw_only=True):
     published_mono_ns : int
         When the image was published.
     number : int
-        Number of the image since the reconstructor's start, from 1: images depend on those before. 0 if unknown.
+        Number of the image since the reconstructor's start, from 1: images depend on those before. 0 if unknown. A
+        reconstructor that takes over counts on.
     doubtful : bytes
         Of the measurement.
     """
@@ -249,6 +258,8 @@ class Contacts(msgspec.Struct, frozen=True, kw_only=True):
         Time of the search in seconds.
     blind : bool
         No sum was valid: there are no contacts in this message, but that does not mean "no contact".
+    number : int
+        Of the image.
     """
 
     cycle: int
@@ -259,6 +270,7 @@ class Contacts(msgspec.Struct, frozen=True, kw_only=True):
     find_s: float
     blind: bool = False
     sampled_error_ns: int = UNKNOWN_ERROR_NS
+    number: int = 0
 
 
 #: Label of a contact that differs from all objects of the training.
@@ -283,7 +295,7 @@ class Label(Told, frozen=True, kw_only=True):
     blind : bool
         Too few blocks came in the last cycles: the label is empty, but does not mean "no contact".
     number : int
-        Number of the label since the classifier's start, from 1: labels depend on those before. 0 if unknown.
+        Number of the label since the start of its classifier, from 1: labels depend on those before. 0 if unknown.
     """
 
     cycle: int
@@ -567,6 +579,12 @@ class ServiceStatus(Told, frozen=True, kw_only=True):
         Messages that came, and were replaced by newer ones because the service was too slow for them.
     made : int
         What it is there for: measurements, images, labels, frames of nodes, recorded frames and messages; 0 of others.
+        Images and labels of a service that stands by count, too.
+    load_ratio : float
+        Processor time of its process in the last second, of one core.
+    clock_offset_ns, clock_error_ns : int
+        How far the monotonic clock of the gateway's machine is ahead, and the bound of the error; `UNKNOWN_ERROR_NS` if
+        unknown, or if the service needs no other clock than its own.
     """
 
     time_ns: int
@@ -577,6 +595,9 @@ class ServiceStatus(Told, frozen=True, kw_only=True):
     missed: int = 0
     overruns: int = 0
     made: int = 0
+    load_ratio: float = 0.0
+    clock_offset_ns: int = 0
+    clock_error_ns: int = UNKNOWN_ERROR_NS
 
 
 class Topic(msgspec.Struct, frozen=True):

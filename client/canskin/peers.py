@@ -55,14 +55,12 @@ class Peer(msgspec.Struct, frozen=True):
         return f"canskin/{self.skin}/alive/{self.service}/{about}"
 
     def difference(self, other: "Peer") -> str:
-        """Return why this service cannot work with `other`; empty if it can, or `other` only reads, or is not known."""
-        if other.service not in MAKERS or not self.fingerprint or not other.fingerprint:
+        """Return why this service cannot work with `other`, of the same skin.
+
+        Empty if it can, or `other` only reads, or is not known, or is of another skin: a hub has many.
+        """
+        if other.skin != self.skin or other.service not in MAKERS or not self.fingerprint or not other.fingerprint:
             return ""
-        if other.skin != self.skin:
-            return (
-                f"{other.service} on this hub is of skin '{other.skin}', {self.service} of '{self.skin}': they do not"
-                " hear each other"
-            )
         if other.fingerprint != self.fingerprint:
             return (
                 f"{other.service} has Φ {other.fingerprint}, {self.service} has Φ {self.fingerprint}: give both the"

@@ -44,6 +44,9 @@ def export_files(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str,
     """Return the text of every file of ``skin contract --firmware`` by its path."""
     boards = builds(contract, nodes)
     found = {f"src/{path}": text for path, text in sources(boards, "slave", "canopennode").items()}
+    for folder in ("ports", "ports/virt"):
+        inside = (each for each in _SOURCES.joinpath(folder).iterdir() if each.is_file())
+        found |= {f"{folder}/{each.name}": each.read_text(encoding="ascii") for each in inside}
     for folder, image in images(contract, boards).items():
         found |= {f"boards/{folder}/{name}": text for name, text in constants(contract, image).items()}
         found |= {f"boards/{folder}/OD.h": od_header(image), f"boards/{folder}/OD.c": od_source(image)}

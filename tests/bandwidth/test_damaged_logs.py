@@ -166,7 +166,8 @@ STEADY = [0.01 * place for place in range(100)]
         (candump([*STEADY, *[3600 + each for each in STEADY]]), 200, ["line 101: the time jumps by 3599.01 s"]),
         (candump([each + 3 * (i % 2) for i, each in enumerate(STEADY)], "01"), 100,
          ["line 3: channel can0 is 2.99 s behind the others: have the channels two clocks?"]),
-        (candump([each - 0.002 * (i % 3) + 1 for i, each in enumerate(STEADY)]), 100, []),
+        (candump([each - 0.02 * (i % 10 == 0) + 1 for i, each in enumerate(STEADY)]), 100, []),
+        (candump([0.0001 + 0.009 * (i % 3 == 0) for i in range(99)]), 99, ["line 2: 33 of 99 times fall: are they"]),
     ],
 )  # fmt: skip
 def test_time_goes_forward_or_it_is_said_where_not(tmp_path: Path, content: bytes, kept: int, says: list[str]) -> None:

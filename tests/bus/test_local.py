@@ -46,7 +46,7 @@ def test_local_and_other_links_hear_each_other() -> None:
 
 
 def test_a_local_link_has_queues_and_limits_of_a_client(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bus.local.BACKLOG_FRAMES", 8)
+    monkeypatch.setattr("bus.session.BACKLOG_FRAMES", 8)
     with BusServer(["bus0"], BusSettings(data_bitrate=None, queue_size=8)) as server:
         one, other = server.join("bus0", "one"), server.join("bus0", "other")
         assert one.send(burst(range(20))) == 8
@@ -63,6 +63,10 @@ def test_a_local_link_has_queues_and_limits_of_a_client(monkeypatch: pytest.Monk
         one.send(frame(1))
         server.ready([one], 0.02, whole=True)
         assert one.state is State.PASSIVE  # nobody acknowledges
+        assert not len(other.receive())  # nor hears
+        other.close()
+        with pytest.raises(InputError, match="expected one of the buses bus0, got 'bus1'"):
+            server.join("bus1", "one")
 
 
 @pytest.mark.parametrize(

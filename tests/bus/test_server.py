@@ -1,6 +1,7 @@
 """The process of a bus and its clients, on real sockets and in real time."""
 
 import os
+import resource
 import select
 import signal
 import socket
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -189,6 +191,26 @@ def test_the_number_of_clients_is_bounded(monkeypatch: pytest.MonkeyPatch) -> No
         a.send(frame(0x181))
         assert collect(c, 1)["can_id"].tolist() == [0x181]
         c.close()
+
+
+def test_a_client_for_whom_no_descriptor_is_left_is_taken_later(capsys: pytest.CaptureFixture[str]) -> None:
+    with BusServer(["bus0"], BusSettings()) as server, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
+        client.settimeout(PATIENCE_S)
+        client.connect(str(socket_path("bus0")))
+        client.send(pack(Kind.HELLO, b'{"name":"late"}'))
+        most, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        os.close(lowest := os.dup(client.fileno()))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, hard))
+        try:
+            with mock.patch.object(select, "select", wraps=select.select) as waits:
+                server.turn()
+                server.turn(0.0)  # waits for others meanwhile
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+        assert [len(call.args[0]) for call in waits.call_args_list] == [1, 0]
+        with server.beside():
+            assert client.recv(1000)[4] == Kind.WELCOME
+    assert capsys.readouterr().err == "bus: bus0: cannot take a client: Too many open files\n"
 
 
 def joined_when_free(name: str) -> Link:

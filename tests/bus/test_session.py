@@ -58,7 +58,7 @@ class Wire:
 def test_a_packet_tells_state_frames_losses_and_time() -> None:
     wire = Wire()
     wire.give(burst([0x100, 0x101]), now_ns=123_456_789_012)
-    wire.session.dropped = 7
+    wire.session.backlog.dropped = 7
     wire.give(burst([0x102]), now_ns=3)
     assert wire.client.headers == [(0, 2, 0, 123_456_789_012), (0, 1, 7, 3)]
     assert wire.client.ids == [0x100, 0x101, 0x102]
@@ -144,13 +144,13 @@ def test_16384_received_frames_are_kept_and_every_echo() -> None:
     for _ in range(7):
         wire.give(many)
     wire.give(many[:2047])
-    assert wire.session.dropped == 0
+    assert wire.session.backlog.dropped == 0
     wire.give(many, mine=True)
-    assert wire.session.dropped == 0
+    assert wire.session.backlog.dropped == 0
     wire.give(many[:3])
-    assert wire.session.dropped == 2
+    assert wire.session.backlog.dropped == 2
     wire.give(many)
-    assert wire.session.dropped == 2050
+    assert wire.session.backlog.dropped == 2050
     wire.client.reads = True
     wire.session.flush(0)
     assert len(wire.client.ids) == 16_384 + 2048
@@ -158,6 +158,6 @@ def test_16384_received_frames_are_kept_and_every_echo() -> None:
     wire.client.reads = False
     for _ in range(8):
         wire.give(many)
-    assert wire.session.dropped == 2050  # all that was read makes room again
+    assert wire.session.backlog.dropped == 2050  # all that was read makes room again
     wire.give(many[:1])
-    assert wire.session.dropped == 2051
+    assert wire.session.backlog.dropped == 2051

@@ -284,21 +284,21 @@ def test_hub_that_comes_later_is_found_and_both_are_told(
 
 
 @pytest.mark.heavy
-def test_services_of_another_phi_skin_or_version_are_named_once(endpoint: str, log: Log) -> None:
+def test_services_of_another_phi_are_named_once_and_of_another_skin_never(endpoint: str, log: Log) -> None:
     gateway = Fabric("palm", "gateway", endpoint, hub=True, fingerprint="aa")
     others = [
         Fabric("palm", "reconstructor", endpoint, fingerprint="bb"),
         Fabric("palm", "reconstructor", endpoint, fingerprint="bb"),
-        Fabric("hand", "viewer", endpoint, fingerprint="aa"),
+        Fabric("hand", "gateway", endpoint, fingerprint="cc"),
         Fabric("palm", "health", endpoint),
     ]
     expected = {
         "gateway: reconstructor has Φ bb, gateway has Φ aa: give both the same --layout",
         "reconstructor: gateway has Φ aa, reconstructor has Φ bb: give both the same --layout",
-        "viewer: gateway on this hub is of skin 'palm', viewer of 'hand': they do not hear each other",
     }
     log.wait_for(*expected)
-    assert sum("gateway: reconstructor" in line for line in log.lines) == 1
+    assert sum("gateway: reconstructor has" in line for line in log.lines) == 1
+    assert not [line for line in log.lines if "gateway: gateway" in line or "hand" in line]
     for fabric in (*others, gateway):
         fabric.close()
 
@@ -423,19 +423,22 @@ def test_services_of_one_process_share_a_session_and_others_hear_each_message_on
     heard = threading.Event()
     gateway.subscribe(MARK, lambda _: heard.set())
     send_until_heard(outside, heard, MARK, Mark(label="ring"))
-    sent, told = image(1), label(1)
-    for publisher in (gateway, outside):
+    for cycle, publisher in enumerate((gateway, outside), 1):
+        sent, told = image(cycle, sampled_mono_ns=cycle), label(cycle, sampled_mono_ns=cycle)
         publisher.publish(IMAGE, sent)
         publisher.publish(LABEL, told)
         here, there = own.get(PATIENCE_S), other.get(PATIENCE_S)
         assert here == there == sent
         assert (here is sent) is (publisher is gateway)  # handed over as it is
         assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == told
-    gateway.publish(IMAGE, image(2))
-    gateway.publish(LABEL, label(2))
+    for late in (1, 2, 3):  # what is no newer than that of another publisher is refused
+        gateway.publish(IMAGE, image(9, sampled_mono_ns=late))
+        gateway.publish(LABEL, label(9, sampled_mono_ns=late))
     for newest in (own.get(PATIENCE_S), other.get(PATIENCE_S)):  # none came twice
-        assert newest == image(2)
-    assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == label(2)
+        assert newest == image(9, sampled_mono_ns=3)
+    newest_label = label(9, sampled_mono_ns=3)
+    assert own_labels.get(timeout=PATIENCE_S) == other_labels.get(timeout=PATIENCE_S) == newest_label
+    assert (page.late, outside.late) == (4, 4)
     gateway.answer(CALIBRATION, lambda _request, reply: reply(CalibrationReply(is_done=True, text="")))
     assert page.ask(CALIBRATION, CalibrationRequest(action="tare"), PATIENCE_S).is_done
     assert {each.service for each in outside.peers()} == {"maker", "page", "outside"}
@@ -444,6 +447,53 @@ def test_services_of_one_process_share_a_session_and_others_hear_each_message_on
     page.close()
     assert shared.session is None
     outside.close()
+
+
+def test_a_service_that_enters_while_the_last_leaves_gets_an_open_session(shared: Shared) -> None:
+    first, second, lock = mock.Mock(), mock.Mock(), mock.MagicMock(wraps=shared._lock)
+    assert shared.enter(lambda: first) is first
+    shared._lock, whole = lock, shared._lock
+
+    def leave_before() -> None:
+        shared._lock = whole
+        shared.leave()
+
+    lock.__enter__.side_effect = leave_before
+    assert shared.enter(lambda: second) is second
+    assert first.close.called
+    assert not second.close.called
+    assert shared.session is second
+
+
+def test_a_handler_that_raises_is_told_and_called_again(endpoint: str, shared: Shared, log: Log) -> None:
+    gateway, page = Fabric("test", "maker", endpoint, hub=True), Fabric("test", "page", endpoint)
+    heard = queue.Queue[int]()
+
+    def take(message: Label) -> None:
+        heard.put(message.cycle)
+        if message.cycle == 1:
+            raise ValueError("no such label")
+
+    page.subscribe(LABEL, take)
+    for cycle in (1, 2):
+        gateway.publish(LABEL, label(cycle))
+        assert heard.get(timeout=PATIENCE_S) == cycle
+    log.wait_for("page: a message was not taken: ValueError: no such label")
+    page.close()
+    gateway.close()
+
+
+def test_two_readers_of_a_topic_hide_no_loss_of_each_other(hub: Fabric, endpoint: str) -> None:
+    other, heard = Fabric("test", "other", endpoint), threading.Event()
+    came = threading.Semaphore(0)
+    for _ in range(2):
+        other.subscribe(LABEL, lambda message: came.release() if message.cycle == 10**6 else heard.set())
+    send_until_heard(hub, heard)
+    next(hub._publishers["label"].numbers)  # is lost
+    hub.publish(LABEL, label(10**6))
+    assert all(came.acquire(timeout=PATIENCE_S) for _ in range(2))
+    assert other.missed.counts() == {"label": 2}  # by each of them
+    other.close()
 
 
 def test_what_is_handed_over_cannot_be_changed() -> None:

@@ -35,6 +35,9 @@ class Parts:
             def answer(self, question: Question, handler: object) -> None:
                 parts.answered.append(question)
 
+            def watch_peers(self, changed: object) -> None:
+                pass
+
             def close(self) -> None:
                 parts.closed.append(self.name)
 

@@ -30,6 +30,7 @@ from skin.layout import load_layout
 from tests.bus.harness import frame
 from tests.gateway.boards import SdoServer
 from tests.layouts import buses, small_contract
+from tests.world import World
 
 #: The times that docs/bus.md promises.
 PROOF_PERIOD_S = 2.0
@@ -593,3 +594,10 @@ def test_no_errand_begins_with_a_node_that_is_doubted_proven_or_in_use_by_others
     while skin.node(2).dialogue is None:
         skin.run(0.01)
     assert skin.master.ask(2, errand(), skin.now_s) is None
+
+
+def test_a_board_whose_answers_come_too_late_is_told_from_one_that_is_silent() -> None:
+    world = World(small_contract())
+    world.wires[0].line(SDO_RESPONSE_BASE + 1, 0x7FF).delay_ns = 900_000_000
+    world.run(5.0)
+    assert world.status().buses[0].faults[1].words.endswith("and an answer came after more than 0.3 s")

@@ -347,6 +347,24 @@ def without_interface(world: Watched) -> End:
     return end
 
 
+def swapped(world: Watched) -> End:
+    """Let two interfaces come back with each other's names, and after two seconds with their own."""
+    begun_s, wires, passed = world.now_s, world.wires, [0.0, 0.5, 2.5, 3.0]
+
+    def step() -> None:
+        while passed and world.now_s - begun_s >= passed[0]:
+            is_back = passed.pop(0) in {0.5, 3.0}
+            world.forced = {} if is_back else dict.fromkeys(range(2), State.LOST)
+            for wire in wires:
+                wire.loses = None if is_back else lambda *_: True
+            if is_back:
+                wires[0].exchange(wires[1])
+                world.segments.reverse()
+
+    world.during = step
+    return nothing
+
+
 def refuses(world: Watched) -> End:
     world.wires[0].gateway.takes = False
     return lambda: setattr(world.wires[0].gateway, "takes", True)
@@ -452,6 +470,8 @@ SCENES: Final = (
     Scene("no board on the bus has power", unplugged, ("error-passive", "node-loses", "node-silent", "node-booted")),
     Scene("bus-off", suffering(Odds(controller="gateway:*", bit_error_rate=0.1)), ("bus-off",)),
     Scene("the interface is removed", without_interface, ("interface-lost",)),
+    Scene("two interfaces are swapped, and come back so, for 2 s", swapped, (
+        "interface-lost", "nothing-measured", "node-refused"), tables={"bus": buses(2, 2)}),
     Scene("the interface takes no SYNC", refuses, ("sync-refused", "node-loses"), 3.0),
     Scene("the gateway's receive buffer overflows", doing(overruns), ("host-late",)),
     Scene("the gateway's host stalls", doing(stalls), ("host-late",)),

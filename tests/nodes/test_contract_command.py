@@ -44,7 +44,7 @@ def test_contract_writes_all_files_and_check_names_those_that_drifted(palm: str,
 
 def test_firmware_takes_the_place_of_these_files(palm: str, skin: Verb) -> None:
     assert skin("contract", palm, "--firmware", "--node", "arm:2", "--out", "firmware")[0] == 0
-    assert {path.name for path in Path("firmware").iterdir()} == {"README.md", "boards", "src"}
+    assert {path.name for path in Path("firmware").iterdir()} == {"README.md", "boards", "ports", "src"}
     assert {path.name for path in Path("firmware/boards").iterdir()} == {"arm-002"}
 
 

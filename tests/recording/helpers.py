@@ -88,8 +88,15 @@ def pixels(cycle: int) -> np.ndarray:
 
 
 def write_run(path: Path, contract: Contract) -> Path:
-    """Write a recording of messages alone: measurements, images, contacts and labels of `COUNT` cycles."""
+    """Write a recording of messages alone, those of `write_messages`."""
     sink = McapSink(path, contract, 1, OFFSET_NS)
+    write_messages(sink, contract)
+    sink.close()
+    return path
+
+
+def write_messages(sink: McapSink, contract: Contract) -> None:
+    """Write measurements, images, contacts and labels of `COUNT` cycles."""
     for cycle in range(1, COUNT + 1):
         stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10, "sampled_error_ns": cycle}
         valid = bytes([cycle > 1] * 16)
@@ -120,8 +127,6 @@ def write_run(path: Path, contract: Contract) -> Path:
             (LABEL, make.label(**stamps, confidence=0.5, valid_sums=7)),
         ):
             sink.message(topic, cycle, msgspec.msgpack.encode(message))
-    sink.close()
-    return path
 
 
 def messages_of(path: Path, topic: Topic) -> list[Any]:

@@ -227,6 +227,20 @@ def test_a_log_has_the_sums_of_its_frames(
     assert pixels[0] == pixels[1] == pixels[2]
 
 
+def test_a_log_without_a_complete_cycle_says_so(
+    contract: Contract, bus_frames: dict[int, Frames], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The clock of one bus is behind that of the other by three periods."""
+    sink = open_sink(tmp_path / "two.log", contract, 1, OFFSET_NS)
+    for bus, seen in bus_frames.items():
+        late = seen.copy()
+        late["time_ns"] += bus * 30_000_000
+        sink.frames(bus, late, int(late["time_ns"][-1]) + OFFSET_NS, OFFSET_NS)
+    sink.close()
+    assert list(steps_of(tmp_path / "two.log", contract))
+    assert "none of 24 cycles is complete" in capsys.readouterr().err
+
+
 def test_frames_alone_take_stored_offsets_and_a_recorded_run_has_its_own(
     contract: Contract, bus_frames: dict[int, Frames], run: Path, tmp_path: Path
 ) -> None:

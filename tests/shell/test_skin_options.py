@@ -134,13 +134,16 @@ def test_a_layout_that_differs_is_refused_with_what_differs(endpoint: str, tmp_p
         same.join(same.find(), "viewer").close()
 
 
-def test_a_layout_of_another_skin_than_those_of_the_hub_is_refused(
-    endpoint: str, tmp_path: Path, one_look: None, monkeypatch: pytest.MonkeyPatch
+def test_a_skin_joins_a_hub_of_others_and_one_line_names_them(
+    endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(skin_options, "tell", lambda *words: told.append(": ".join(words)))
     monkeypatch.setattr(skin_options, "PATIENCE_S", 0.0)
     options = SkinOptions(layout=written(HAND, tmp_path), connect=endpoint)
-    with hub(endpoint, PALM), pytest.raises(BusError, match=r"no skin 'hand' \(.*given.toml\) at .*, found 'palm'"):
-        options.join(options.find(), "viewer")
+    with hub(endpoint, PALM):
+        options.join(options.find(), "viewer").close()
+    assert told == [f"skin: no service of 'hand' ({options.layout}) is at {endpoint} yet, found 'palm'"]
 
 
 def test_a_hub_that_knows_no_skin_yet_is_joined(endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

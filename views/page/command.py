@@ -14,8 +14,8 @@ from starlette.applications import Starlette
 
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE
-from recording import RECORDING_SUFFIX, is_recording
-from recording.mcap_file import read_topics
+from recording import RECORDING_SUFFIX, file_of, is_recording
+from recording.mcap_file import part_of, read_topics
 from shell.command import WRONG_INPUT
 from shell.pulse import Pulse
 from shell.service import StopSignal, listen, say
@@ -72,9 +72,9 @@ def view(
     pulse = Pulse(stop)
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: expected a folder that exists")
-    if recording is not None and (of.connect or of.skin):
-        raise InputError("a recording has no hub: leave --connect and --skin out")
-    if recording is not None and not recording.is_file():
+    if recording is not None and of.connect:
+        raise InputError("a recording has no hub: leave --connect out")
+    if recording is not None and not file_of(recording).is_file():
         raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
     with listen(host, port) as listener, ExitStack() as closes:
         if recording is not None:
@@ -94,6 +94,7 @@ def view(
 
 def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
     """Return the playback of a recording; of one without images, that of its replay, which is made in `folder`."""
+    recording = part_of(recording, of.skin)
     layout = of.find(recording=recording, needs_hub=False)
     if not is_recording(recording) or IMAGE.name not in read_topics(recording):
         made, given = folder / f"{recording.stem}{RECORDING_SUFFIX}", ["--layout", str(of.layout)] if of.layout else []

@@ -19,6 +19,16 @@
 #include "skin_steps.h"
 #endif
 
+/* Payload that a frame has room for; 8 is enough for a program of boards on classic CAN. */
+#ifndef SKIN_FRAME_BYTES
+#define SKIN_FRAME_BYTES 64
+#endif
+
+/* Segments of a block of a program download, at most 127: a board takes fewer if its receive queue or its flash memory asks for that. */
+#ifndef SKIN_BLOCK_SEGMENTS
+#define SKIN_BLOCK_SEGMENTS 127u
+#endif
+
 /* One frame, in the records of dbc/frame.py. */
 typedef struct {
     int64_t time_ns;    /* of a received frame: its end; of a frame to send: earliest start, 0 for now */
@@ -27,7 +37,7 @@ typedef struct {
     uint8_t length; /* payload in bytes */
     uint8_t flags;  /* SKIN_FRAME_... */
     uint16_t port;  /* node-ID of the board that sends */
-    uint8_t data[64];
+    uint8_t data[SKIN_FRAME_BYTES];
 } skin_frame;
 
 /* A frame that the controller has given up: its window ended, or it is bus-off. */

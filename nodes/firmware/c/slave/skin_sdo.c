@@ -10,10 +10,6 @@ enum { DOWNLOAD_SEGMENT = 0, DOWNLOAD = 1, UPLOAD = 2, UPLOAD_SEGMENT = 3, ABORT
 #define SIZE_SPECIFIED 0x01u
 #define NO_MORE_DATA 0x01u
 #define CRC_SUPPORTED 0x04u
-/* Segments of a block: at most 127. A board whose flash memory is slow takes fewer. */
-#ifndef SKIN_BLOCK_SEGMENTS
-#define SKIN_BLOCK_SEGMENTS 127u
-#endif
 #define BLOCK_TIMEOUT_MS 1000u
 
 enum { IDLE, SENDING, TAKING, BLOCKS, ENDING };
