@@ -50,7 +50,6 @@ MISTAKES = (
     ("export stamps.npz", "stamps.npz: expected a recording of 'skin record'"),
     ("export text.mcap", "text.mcap: is no MCAP file"),
     ("export text.mcap --to csv", "Choose from:"),
-    ("export text.mcap --to parquet --out x.csv", "--to parquet writes no '.csv'"),
     ("touch objects --meshes none", "expected a folder of meshes, got 'none'"),
     ("touch dataset acquisition --out text.mcap", "give another --out"),
     ("touch dataset acquisition --objects unicorn --out x", "unknown object 'unicorn': expected one of"),
