@@ -14,7 +14,7 @@ from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_
 from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
 from classifier.modelfile import load_model, read_model, save_model
 from classifier.used_sums import classified_phi
-from shell.output import check_output_path, write_file
+from shell.output import check_new_path, check_output_path, write_file
 from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
@@ -171,9 +171,7 @@ def train(
     if (choose != 0) != (layout_out is not None):
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
-        check_output_path(layout_out, "layout", ".toml")
-        if layout is not None and layout_out.exists() and layout_out.samefile(layout):
-            raise InputError(f"{layout_out}: is the layout that rows are chosen for; give --layout-out another name")
+        check_new_path(layout_out, "layout", ".toml")
     count = touches or TOUCHES_PER_OBJECT * len(names)
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)
