@@ -28,6 +28,7 @@ from canskin.session import (
     is_open,
     peers_at,
 )
+from canskin.skin_clock import TIME, time_reply
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -58,7 +59,8 @@ class SkinOptions:
     connect
         Endpoint of the fabric's hub, usually the gateway; default: a socket that only this user may open.
     skin
-        Name of the skin, where the hub has several, see ``skin list``.
+        Name of the skin, where the hub has several, see ``skin list``; ``skin reconstruct`` and ``skin classify`` take
+        all of them.
     """
 
     layout: Path | None = None
@@ -219,6 +221,7 @@ def join(
             check_bytes(len(told.toml), LayoutError, f"the text of layout '{layout.name}'")
             fabric.answer(LAYOUT, lambda _request, reply: reply(told))
             fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
+            fabric.answer(TIME, lambda _request, reply: reply(time_reply()))
         prepare(fabric)
 
     return Fabric(
@@ -231,6 +234,12 @@ def join(
         patience_s=patience_s,
         prepare=describe_it,
     )
+
+
+def await_skins(endpoint: str, service: str, stop: Stop) -> None:
+    """Wait for the hub, and for a skin there; raise BusError if none comes in `SERVICE_PATIENCE_S`."""
+    words = _WORDS._replace(service=service)
+    find_skin(endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=words, stop=stop, is_one=False)
 
 
 def hub_layout(

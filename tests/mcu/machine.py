@@ -1,12 +1,15 @@
 """An emulated machine: boards with a processor, a CAN controller and a flash memory each, and an slcan adapter."""
 
 import contextlib
+import itertools
 import json
 import os
 import re
+import signal
 import socket
 import struct
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,8 +29,13 @@ PATIENCE_S: Final = 60.0
 FLASH_BYTES, BOARD_BYTES, SECTOR_BYTES = 1 << 26, 1 << 21, 1 << 18
 #: Switches of board n: its node-ID (``ports/virt/virt.h``).
 SWITCHES, SWITCHES_STEP = 0x43000000, 0x100
+#: Bytes of a stack that were never used (``ports/virt/start.S``).
+PAINT: Final = b"\xa5"
 #: The instruction of Thumb code.
 BRANCH_TO_ITSELF: Final = 0xE7FE
+#: QEMU may wait for ever for something that it has: a processor that writes to the flash memory may take the note that
+#: was meant to wake the main loop. A signal wakes the main loop, which does nothing else with it.
+WAKING_S: Final = 0.01
 _ERASED: Final = b"\xff"
 
 
@@ -63,7 +71,8 @@ class Machine:
         self._flash, self._log = folder / "flash.img", folder / "boards.log"
         self._process: subprocess.Popen[bytes] | None = None
         self._held = -1
-        self._starts = 0
+        self._ended = threading.Event()
+        self._waking = threading.Thread()
         with self._flash.open("wb") as file:
             file.truncate(FLASH_BYTES)
             for cpu in range(1, BOARDS + 1):
@@ -104,11 +113,16 @@ class Machine:
         self.terminal = found[0]
         # QEMU looks once a second whether a terminal that was closed is open again: hold it open.
         self._held = os.open(self.terminal, os.O_RDWR | os.O_NOCTTY)
-        self.until(lambda: self.said.count("board up") >= BOARDS, "all boards to start")
+        self._ended.clear()
+        self._waking = threading.Thread(target=self._wake, args=(self._process,))
+        self._waking.start()
+        self.until(lambda: self.said.count("\n") >= BOARDS, "all boards to start")
 
     def cut_power(self) -> None:
         """End the machine at once."""
         if self._process is not None:
+            self._ended.set()
+            self._waking.join()
             os.close(self._held)
             self._process.kill()
             self._process.communicate()
@@ -163,7 +177,8 @@ class Machine:
         """Arguments of the verbs of ``skin node``."""
         layout = self.images.contract.layout
         path = self.images.folder / "layout.toml"
-        return "--bus", layout.bus[0].name, "-i", "slcan", "-c", self.terminal, "--layout", path
+        adapter = ("-i", "slcan", "-c", self.terminal, "--bus-option", "sleep_after_open=0.0")
+        return "--bus", layout.bus[0].name, *adapter, "--layout", path
 
     def peek(self, address: int, count: int) -> bytes:
         """Return bytes of the memory of the boards."""
@@ -184,6 +199,17 @@ class Machine:
                         assert "error" not in answer, answer
         return path.read_bytes()
 
+    def stack_bytes(self, cpu: int) -> int:
+        """Return the most bytes that main program and interrupts of a board had on their stacks together."""
+        symbols = self.images.symbols(cpu)
+        ends = [symbols[name] for name in ("__stack_bottom", "__stack", "__interrupt_stack")]
+        stacks = [self.peek(low, high - low) for low, high in itertools.pairwise(ends)]
+        return sum(len(stack) - (len(stack) - len(stack.lstrip(PAINT))) // 4 * 4 for stack in stacks)
+
+    def _wake(self, process: subprocess.Popen[bytes]) -> None:
+        while not self._ended.wait(WAKING_S):
+            process.send_signal(signal.SIGALRM)
+
     def _command(self) -> Sequence[str | Path]:
         control = "ctucan_pci,canbus0=bus,canbus1=none"
         boards = control if self.images.contract.layout.bus[0].fd else "kvaser_pci,canbus=bus"
@@ -195,7 +221,7 @@ class Machine:
                 place = f"addr={SWITCHES + cpu * SWITCHES_STEP:#x}"
                 devices += ["-device", f"loader,{place},data={cpu},data-len=4"]
         return [
-            *("nice", "-n", "5", "qemu-system-arm", "-M", "virt,highmem=off,gic-version=2", "-cpu", "cortex-a15"),
+            *("qemu-system-arm", "-M", "virt,highmem=off,gic-version=2", "-cpu", "cortex-a15"),
             *("-smp", str(BOARDS + 1), "-m", "128M", "-accel", "tcg,thread=multi", "-display", "none", "-nodefaults"),
             *("-L", TOOLS / "usr/share/qemu", "-object", "can-bus,id=bus", "-object", "can-bus,id=none", *devices),
             *("-device", f"{control},addr={BOARDS + 1}", "-chardev", "pty,id=adapter", "-serial", "chardev:adapter"),
