@@ -50,7 +50,6 @@ MISTAKES = (
     ("export stamps.npz", "stamps.npz: expected a recording of 'skin record'"),
     ("export text.mcap", "text.mcap: is no MCAP file"),
     ("export text.mcap --to csv", "Choose from:"),
-    ("export text.mcap --to parquet --out x.csv", "--to parquet writes no '.csv'"),
     ("touch objects --meshes none", "expected a folder of meshes, got 'none'"),
     ("touch dataset acquisition --out text.mcap", "give another --out"),
     ("touch dataset acquisition --objects unicorn --out x", "unknown object 'unicorn': expected one of"),
@@ -73,6 +72,26 @@ MISTAKES = (
     ("evaluate paper nothing", 'Invalid value "nothing" for PARTS'),
     ("evaluate paper sparsity --draws 0", "draws needs a whole number of 1 or more: got 0"),
     ("evaluate single-wire none", "no folder 'none'"),
+    ("layout new 24x32 --out=", "--out: expected a value, got an empty text"),
+    ("train --layout pad --seed 1.5", "--seed: expected a whole number, got '1.5'"),
+    ("train --layout pad --touches 99999999999", "the memory of this machine is too small"),
+    ("train --layout pad --choose 4 --layout-out folder.toml", "folder.toml: is there already"),
+    ("calibration gain strip.csv --out text.mcap", "expected a file for the calibration that ends in .json"),
+    ("contract pad --firmware --out .", "has a README.md that 'skin contract' did not write"),
+    ("record x.wav", "expected a file that ends in .mcap, or, for frames alone"),
+    ("view none.mcap", "no file 'none.mcap'"),
+    ("bus a --fault loss_ratio=0.1 can_id=5", "fault 'can_id=5': does nothing"),
+    ("scan -i virtual -c a --bitrate 5", "expected a bit rate of 10000 to 1000000 bit/s, got 5"),
+    ("gateway --layout pad --keep-zero none/zero.json", "the folder for the zero does not exist"),
+    ("node objects zzz --layout pad", "no object has zzz in its name"),
+    ("node get 1018h,zzz --layout pad --node 1", "by name or index:sub, got 'zzz'"),
+    ("node check --layout pad --live 3 --out text.mcap", "expected a file for the wiring that ends in .csv"),
+    ("node check --layout pad --live 3 --path strip.csv", "expected the header time_s,x_m,y_m,z_m"),
+    ("node check --layout pad --live 3 --rest -2", "--rest needs a number of 0 or more"),
+    ("nodes --layout pad --defect dead dead=0.2", "expected each kind once"),
+    ("nodes --layout pad --defect drift=5", "deviation_n_per_s needs a number from 0 to 0.02: got 5"),
+    ("nodes --layout analogue --defect sum-offset=9", "deviation_n needs a number from 0 to 0.64: got 9"),
+    ("nodes --layout pad --input stamps.npz --objects ring", "--objects and --stroke are for the simulator"),
     ("nodes --layout pad --input stamps.npz", "'timestamp' of shape (20,): expected (time, rows, columns)"),
 )  # fmt: skip
 
@@ -80,7 +99,8 @@ MISTAKES = (
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    (folder / "text.mcap").write_text("no recording")
+    for name in ("text.mcap", "README.md"):
+        (folder / name).write_text("no recording")
     (folder / "hand.urdf").write_text(URDF.format(order="row-major"))
     (folder / "strip.csv").write_text("x_m,y_m,z_m\n" + "".join(f"{0.004 * each},0,0\n" for each in range(12)))
     np.savez(folder / "stamps.npz", timestamp=np.arange(20))

@@ -72,10 +72,12 @@ def view(
     pulse = Pulse(stop)
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: expected a folder that exists")
+    if recording is not None and of.connect:
+        raise InputError("a recording has no hub: leave --connect out")
+    if recording is not None and not file_of(recording).is_file():
+        raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
     with listen(host, port) as listener, ExitStack() as closes:
         if recording is not None:
-            if of.connect:
-                raise InputError("a recording has no hub: leave --connect out")
             playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
             _serve(build_app(playback, access, playback_actions(playback)), access, listener, pulse)
             return
@@ -92,8 +94,6 @@ def view(
 
 def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
     """Return the playback of a recording; of one without images, that of its replay, which is made in `folder`."""
-    if not file_of(recording).is_file():
-        raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
     recording = part_of(recording, of.skin)
     layout = of.find(recording=recording, needs_hub=False)
     if not is_recording(recording) or IMAGE.name not in read_topics(recording):
