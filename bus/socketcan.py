@@ -32,9 +32,10 @@ from bus.interface import (
 )
 from bus.protocol import check_frames, in_time, padded
 from bus.reconnecting import ReconnectingLink
-from bus.told import DATAGRAMS, DESCRIPTOR, DEVICE_ERROR, NEEDS_LOOK, NO_STAMPS, OFFSET, STAMP_ERROR, STATE, Bytes
+from bus.told import DATAGRAMS, DESCRIPTOR, DEVICE_ERROR, NEEDS_LOOK, NO_STAMPS, OFFSET, STAMP_ERROR, STATE
 from canskin.errors import BusError
 from dbc.frame import ERROR, FRAME, Frames, frame_bytes, frames
+from dbc.frame_fields import Bytes
 from shell.clock import wall_offset
 from shell.service import say
 
