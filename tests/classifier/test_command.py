@@ -105,7 +105,7 @@ def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path
     with pytest.raises(InputError, match="another name"):
         train(layout=small, objects=["dome", "plate"], choose=8, layout_out=small)
     with pytest.raises(InputError, match=r"expected a file for the layout that ends in \.toml, got '\.npz'"):
-        train(layout=small, objects=["dome", "plate"], choose=8, layout_out=out, out=out)
+        train(layout=small, objects=["dome", "plate"], choose=8, layout_out=tmp_path / "rows.npz")
 
 
 @pytest.mark.usefixtures("trained")
