@@ -1,5 +1,7 @@
 """The verbs ``skin classify`` and ``skin train``."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,12 +14,13 @@ from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_
 from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
 from classifier.modelfile import load_model, read_model, save_model
 from classifier.used_sums import classified_phi
-from shell.output import check_output_path, write_file
+from shell.output import check_new_path, check_output_path, write_file
 from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from shell.terminal import Json, print_json, print_table, progress
 from shell.touch_options import ObjectNames
+from shell.worker import serve_skins
 from skin.layout import Layout, layout_text, load_layout
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
@@ -34,13 +37,15 @@ def classify(
 
     Without ``--model``, a model for this skin is trained once and kept in the cache folder: ``$SKIN_CACHE``, else
     ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``.
+    Without ``--layout`` and ``--skin``, every skin of the hub that has a model is served; of several skins those
+    without a model are left out. Of two classifiers that serve a skin one stands by.
 
     Parameters
     ----------
     of
         Which skin.
     model
-        Model file from ``skin train`` for this skin.
+        Model file from ``skin train`` for this skin, or a folder with a file ``SKIN.npz`` for each.
     objects
         Objects to train on without ``--model``.
     stroke
@@ -52,23 +57,31 @@ def classify(
     skin classify --objects paper
     skin classify --layout palm.toml --model palm.npz
     """
+    if model is not None and (objects or stroke is not None):
+        raise InputError("--model contains what it was trained on: leave --objects and --stroke out")
+    if model is not None and not model.is_dir():
+        read_model(model)  # before any wait for a hub
+
+    def find(skin: Layout, *, is_only: bool) -> Model:
+        phi = classified_phi(skin)
+        if model is not None:
+            return load_model(model / f"{skin.name}.npz" if model.is_dir() else model, skin, phi)
+        if not is_only and not cached_path(skin, phi, _named(objects), stroke or "slide").exists():
+            raise InputError("it has no model: train one, 'skin train --layout FILE', or give --model FOLDER")
+        return find_or_train(skin, phi, _named(objects), stroke or "slide")
+
+    serve_skins("classifier", of or SkinOptions(), partial(_serve, find))
+
+
+def _serve(find: Callable[..., Model], of: SkinOptions, is_only: bool) -> None:
+    """Serve one skin, with the model that is found."""
     from classifier.decide import Classifier  # compiled parts take a moment to load
     from classifier.service import make_service
 
-    stop, of = StopSignal().install(), of or SkinOptions()
+    stop = StopSignal().install()
     pulse = Pulse(stop)
-    if model is not None and objects:
-        raise InputError("--model contains its objects: leave --objects out")
-    if model is not None and stroke is not None:
-        raise InputError("--model contains what it was trained on: leave --stroke out")
-    if model is not None:
-        read_model(model)  # before any wait for a hub
     skin = of.find("classifier", stop)
-    classified = classified_phi(skin)
-    if model is not None:
-        trained = load_model(model, skin, classified)
-    else:
-        trained = find_or_train(skin, classified, _named(objects), stroke or "slide")
+    trained, classified = find(skin, is_only=is_only), classified_phi(skin)
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
@@ -86,13 +99,13 @@ def train(
     *,
     layout: Path | None = None,
     objects: ObjectNames | None = None,
-    touches: int = 0,
+    touches: int | None = None,
     noise_n: float = NOISE_N,
     stroke: StrokeKind = "slide",
     features: Features | None = None,
     seed: int = 0,
     out: Path | None = None,
-    choose: int = 0,
+    choose: int | None = None,
     layout_out: Path | None = None,
     recordings: Annotated[list[Path] | None, Parameter(negative=())] = None,
     json: Json = False,
@@ -125,7 +138,7 @@ def train(
     choose
         Number of rows of Φ that separate the touches best, in place of the layout's; needs ``--layout-out``.
     layout_out
-        Layout file with the chosen rows: the model is for this layout.
+        New layout file with the chosen rows: the model is for this layout.
     recordings
         Recordings (.mcap), or folders of them, whose touches have labels (``skin record --label``, ``skin label``);
         needs ``--out``.
@@ -140,8 +153,10 @@ def train(
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     skin train --choose 64 --layout-out palm-64.toml --features sums
     """
+    if out is not None:
+        check_output_path(out, "model", ".npz")
     if recordings is not None:
-        if objects or touches or choose or layout_out:
+        if objects or (touches or choose or layout_out) is not None:
             raise InputError(
                 "--recordings contain their objects and touches: leave --objects, --touches, --choose, --layout-out out"
             )
@@ -149,17 +164,13 @@ def train(
         return
     skin = load_layout(layout)
     names = _named(objects)
-    if touches < 0 or seed < 0:
-        raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
-    if out is not None:
-        check_output_path(out, "model", ".npz")
-    if (choose != 0) != (layout_out is not None):
+    count = TOUCHES_PER_OBJECT * len(names) if touches is None else touches
+    if count < 1 or seed < 0:
+        raise InputError(f"expected --touches of 1 or more and --seed of 0 or more, got {count} and {seed}")
+    if (choose is None) != (layout_out is None):
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
-        check_output_path(layout_out, "layout", ".toml")
-        if layout is not None and layout_out.exists() and layout_out.samefile(layout):
-            raise InputError(f"{layout_out}: is the layout that rows are chosen for; give --layout-out another name")
-    count = touches or TOUCHES_PER_OBJECT * len(names)
+        check_new_path(layout_out, "layout", ".toml")
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)
     path = out or cached_path(skin, classified_phi(skin), names, stroke)
@@ -186,7 +197,6 @@ def _train_recorded(
 
     if out is None:
         raise InputError("--recordings: expected --out FILE for the model, for 'skin classify --model FILE'")
-    check_output_path(out, "model", ".npz")
     with progress("reading recordings", 1.0) as bar:
         data = labelled_touches(recordings, layout, noise_n=noise_n, seed=seed)
         model = train_recorded(
@@ -212,14 +222,14 @@ def _train(
     *,
     noise_n: float,
     seed: int,
-    choose: int,
+    choose: int | None,
 ) -> tuple[Layout, Model]:
     """Train with a progress bar on a terminal's stderr; return layout and model, the layout with the chosen rows."""
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     with progress("drawing touches", 1.2) as bar:
         force_n, labels = load_touches(names, count, skin, seed=seed, stroke=stroke)
-        if choose:
+        if choose is not None:
             from classifier.rows import with_chosen_rows
 
             skin = with_chosen_rows(skin, force_n, labels, choose, noise_n=noise_n, seed=seed)
