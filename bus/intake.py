@@ -3,32 +3,42 @@
 A link that cannot be read so, as those of python-can, is waited for, too; its owner reads it.
 """
 
-import errno
 import select
-import socket
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 from numba import int64, types, uint8
-from numba.np.numpy_support import carray
 
+from bus.datagrams import Datagrams, new_datagrams, read_datagrams
 from bus.link import Link
 from bus.protocol import HEADER, MAGIC, MAX_FRAMES, MAX_PACKET, MAX_PORTS, Kind
+from bus.told import (
+    CAME,
+    CLOCK_MONOTONIC,
+    DATAGRAMS,
+    DESCRIPTOR,
+    DONTWAIT,
+    DROPPED,
+    HAS_FAILED,
+    IS_READY,
+    NEEDS_LOOK,
+    PACKETS,
+    READER,
+    RETURNED,
+    SECOND_NS,
+    STATE,
+    Bytes,
+    Integers,
+    clock_ns,
+    has_failed,
+)
 from dbc.frame import ECHO, FLAGS_AT, FRAME, PORT_AT, Frames
 from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
 
-#: What is told of a link: its descriptor (-1: none), whether it is read here, whether it was readable, the number of
-#: frames that were read, whether its socket has failed, state of its controller, and frames that it has dropped. Then
-#: follow the own frames that came back, by port.
-FD, IS_READ, IS_READY, CAME, HAS_FAILED, STATE, DROPPED, RETURNED = range(8)
 #: Frames of a link in one call.
 MOST_FRAMES: Final = 16 * MAX_FRAMES
-
-Integers = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
 _MAGIC: Final = int.from_bytes(MAGIC, "little")
 _HEADER_BYTES, _FRAME_BYTES = HEADER.size, FRAME.itemsize
@@ -36,17 +46,11 @@ _HEADER_BYTES, _FRAME_BYTES = HEADER.size, FRAME.itemsize
 _KIND_AT, _STATE_AT, _FRAMES_AT, _DROPPED_AT = 4, 5, 6, 8
 _FRAMES: Final = int(Kind.FRAMES)
 _POLLIN: Final = int(select.POLLIN)
-_DONTWAIT: Final = int(socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
-_NOTHING: Final = (errno.EAGAIN, errno.EINTR)
-_SECOND_NS: Final = 1_000_000_000
-_CLOCK_MONOTONIC: Final = 1
 
-_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _nanosleep: Any = types.ExternalFunction("nanosleep", types.int32(types.intp, types.intp))
 _ppoll: Any = types.ExternalFunction("ppoll", types.int32(types.intp, types.uint64, types.intp, types.intp))
 _send: Any = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.uint64, types.int32))
 _recv: Any = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.uint64, types.int32))
-_errno: Any = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())  # type: ignore[no-untyped-call]
 
 
 @runtime_checkable
@@ -72,6 +76,9 @@ class Intake(NamedTuple):
     polls, span : arrays of int64
         ``struct pollfd`` of each link, and a ``struct timespec``.
     packet : array of uint8
+        Room for a packet of `bus.protocol`.
+    datagrams : Datagrams
+        Room of each link for datagrams, whose frames come into `rows`.
     """
 
     told: Integers
@@ -79,14 +86,16 @@ class Intake(NamedTuple):
     polls: Integers
     span: Integers
     packet: Bytes
+    datagrams: Datagrams
 
 
 def new_intake(links: int) -> Intake:
     """Return the room for some links, of which none is there yet."""
     told = np.zeros((links, RETURNED + MAX_PORTS), np.int64)
-    told[:, FD] = -1
+    told[:, DESCRIPTOR] = -1
     rows = np.empty((links, MOST_FRAMES, _FRAME_BYTES), np.uint8)
-    return Intake(told, rows, np.zeros(links, np.int64), np.zeros(2, np.int64), np.empty(MAX_PACKET, np.uint8))
+    polls, span, packet = np.zeros(links, np.int64), np.zeros(2, np.int64), np.empty(MAX_PACKET, np.uint8)
+    return Intake(told, rows, polls, span, packet, new_datagrams(rows))
 
 
 def attach(links: Sequence[Link], intake: Intake) -> None:
@@ -95,34 +104,31 @@ def attach(links: Sequence[Link], intake: Intake) -> None:
         if isinstance(link, Readable):
             link.tell(told)
         else:
-            told[FD] = link.fileno()
+            told[DESCRIPTOR] = link.fileno()
 
 
 @njit(cache=True, nogil=True)
 def read_links(rest_ns: int, wait_ns: int, intake: Intake) -> None:
     """Rest, wait until a link is readable, and read all that are; at most for `wait_ns`, the rest included."""
     told, span, polls = intake.told, intake.span, intake.polls
-    ends_ns = _now_ns(span) + wait_ns
+    ends_ns = clock_ns(CLOCK_MONOTONIC, span) + wait_ns
     if rest_ns > 0:
-        span[0], span[1] = rest_ns // _SECOND_NS, rest_ns % _SECOND_NS
+        span[0], span[1] = rest_ns // SECOND_NS, rest_ns % SECOND_NS
         _nanosleep(span.ctypes.data, 0)
-    wait_ns = max(0, ends_ns - _now_ns(span))
+    wait_ns = max(0, ends_ns - clock_ns(CLOCK_MONOTONIC, span))
     for link in range(polls.size):
-        polls[link] = (told[link, FD] & 0xFFFFFFFF) | _POLLIN << 32
-        told[link, CAME] = told[link, IS_READY] = 0
-    span[0], span[1] = wait_ns // _SECOND_NS, wait_ns % _SECOND_NS
+        polls[link] = (told[link, DESCRIPTOR] & 0xFFFFFFFF) | _POLLIN << 32
+        told[link, CAME] = told[link, IS_READY] = told[link, NEEDS_LOOK] = 0
+    span[0], span[1] = wait_ns // SECOND_NS, wait_ns % SECOND_NS
     if _ppoll(polls.ctypes.data, polls.size, span.ctypes.data, 0) <= 0:
         return
     for link in range(polls.size):
         told[link, IS_READY] = polls[link] >> 48 != 0
-        if told[link, IS_READY] and told[link, IS_READ]:
+        if told[link, IS_READY] and told[link, READER] == PACKETS:
             read_packets(told[link], intake.rows[link], intake.packet)
-
-
-@njit(cache=True, nogil=True)
-def _now_ns(span: Integers) -> int:
-    _clock_gettime(_CLOCK_MONOTONIC, span.ctypes.data)
-    return int(span[0] * _SECOND_NS + span[1])
+        elif told[link, IS_READY] and told[link, READER] == DATAGRAMS:
+            messages, parts = intake.datagrams
+            read_datagrams(told[link], intake.rows[link], messages[link], parts[link], span)
 
 
 @njit(cache=True, nogil=True)
@@ -130,9 +136,9 @@ def read_packets(told: Integers, rows: Bytes, packet: Bytes) -> None:
     """Read all packets of `bus.protocol` that wait in a socket; a wrong one is as a failure of the socket."""
     count = 0
     while count + MAX_FRAMES <= rows.shape[0]:
-        size = _recv(told[FD], packet.ctypes.data, packet.size, _DONTWAIT)
+        size = _recv(told[DESCRIPTOR], packet.ctypes.data, packet.size, DONTWAIT)
         if size < 0:
-            told[HAS_FAILED] = carray(_errno(), 1)[0] not in _NOTHING
+            told[HAS_FAILED] = has_failed()
             break
         frames = field(packet, _FRAMES_AT, 2)
         if size != _HEADER_BYTES + frames * _FRAME_BYTES or field(packet, 0, 4) != _MAGIC:
@@ -179,14 +185,9 @@ def send_packet(rows: Bytes, queue_size: int, told: Integers, sent: Integers, pa
     for byte in range(4):
         packet[byte] = _MAGIC >> 8 * byte & 0xFF
     packet[_KIND_AT], packet[_FRAMES_AT], packet[_FRAMES_AT + 1] = _FRAMES, frames & 0xFF, frames >> 8
-    if _send(told[FD], packet.ctypes.data, size, _DONTWAIT) == size:
+    if _send(told[DESCRIPTOR], packet.ctypes.data, size, DONTWAIT) == size:
         return frames
-    has_failed = carray(_errno(), 1)[0] not in _NOTHING
+    failed = has_failed()
     for place in range(frames):
         sent[field(rows[place], PORT_AT, 2)] -= 1
-    return -1 if has_failed else 0
-
-
-def arrived_in(told: Integers, rows: Bytes) -> Frames:
-    """Return the frames of a link that were read, as a copy."""
-    return np.ndarray(int(told[CAME]), FRAME, rows).copy()
+    return -int(failed)

@@ -23,12 +23,18 @@ def _mark(status: CalibrationStatus) -> tuple[object, ...]:
     return status.state, status.revision, status.tared_mono_ns, status.known_sums, *status.defects
 
 
-def follow_calibration(fabric: Fabric, attach: Callable[[File], None], stop: StopSignal) -> None:
-    """Ask for the calibration after each change (zero, gains, defects, a start of the gateway) and attach it."""
+def follow_calibration(
+    fabric: Fabric, attach: Callable[[File], None], stop: StopSignal, turn: Callable[[], None] = lambda: None
+) -> None:
+    """Ask for the calibration after each change (zero, gains, defects, a start of the gateway) and attach it.
+
+    `turn` is called each 0.1 s, except during a question.
+    """
     statuses: Mailbox[GatewayStatus] = fabric.mailbox(GATEWAY, 1)
     seen: tuple[object, ...] = ()
     cycles = 0
     while not stop.is_set():
+        turn()
         status = statuses.get(_TURN_S)
         if status is None or status.calibration is None:
             continue

@@ -8,8 +8,9 @@ What a node learns, and what it leaves out, does not alter what a frame means.
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Final
+
+import msgspec
 
 from dbc import indices as od
 from dbc.contract import Contract, NodeContract
@@ -50,8 +51,7 @@ QUIET_S: Final = 0.01
 PROOF_ROUNDS: Final = 2
 
 
-@dataclass(frozen=True)
-class Setting:
+class Setting(msgspec.Struct, frozen=True):
     """One object that the gateway compares: `data` is its value in the bytes of an SDO transfer."""
 
     index: int
@@ -73,9 +73,7 @@ class Setting:
 
 def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
     """Return the objects that a master compares and that the signature covers, in ascending order."""
-    objects = dictionary(contract, node)
-    mapped = {each.index: int(each.value) for each in objects if each.subindex == 0 and _is_mapping(each.index)}
-    return tuple(setting_of(each) for each in objects if _is_compared(each, mapped))
+    return compared(contract, node)[0]
 
 
 def calibration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
@@ -83,7 +81,17 @@ def calibration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
 
     The values are the defaults; which are right for a board, its calibration tells.
     """
-    return tuple(setting_of(each) for each in dictionary(contract, node) if each.subindex and _is_calibration(each))
+    return compared(contract, node)[1]
+
+
+def compared(contract: Contract, node: NodeContract) -> tuple[tuple[Setting, ...], tuple[Setting, ...]]:
+    """Return `configuration` and `calibration`."""
+    objects = dictionary(contract, node)
+    mapped = {each.index: int(each.value) for each in objects if each.subindex == 0 and _is_mapping(each.index)}
+    return (
+        tuple(setting_of(each) for each in objects if _is_compared(each, mapped)),
+        tuple(setting_of(each) for each in objects if each.subindex and _is_calibration(each)),
+    )
 
 
 def with_calibration(settings: Iterable[Setting], gains: Iterable[Setting]) -> tuple[Setting, ...]:

@@ -1,8 +1,9 @@
 """Objects of a dictionary as data, and the records and arrays that they make up."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, Literal
+
+import msgspec
 
 from dbc import indices as od
 
@@ -12,8 +13,7 @@ Value = int | float | str
 HIGHEST_SUBINDEX: Final = "Highest sub-index supported"
 
 
-@dataclass(frozen=True)
-class Object:
+class Object(msgspec.Struct, frozen=True):
     """One object: a variable, or with `subindex` one entry of the record or array called `group`."""
 
     index: int

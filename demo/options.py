@@ -1,6 +1,6 @@
 """The options of a run, checked before any process is started."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -27,7 +27,8 @@ class DemoOptions:
     Attributes
     ----------
     layout
-        TOML of the skin; without it the default skin of 64 x 64 taxels on four CAN buses.
+        TOML of the skin; without it the default skin of 64 x 64 taxels on four CAN buses. Of several skins: one for
+        each, which share a hub and a page.
     seconds
         Time that SYNC runs, seconds.
     touch
@@ -56,7 +57,7 @@ class DemoOptions:
         Run the C firmware of the boards in place of nodes in Python, see ``skin nodes``.
     """
 
-    layout: Path | None = None
+    layout: Annotated[list[Path], Parameter(negative=(), show_default=False)] = field(default_factory=list)
     seconds: float = 20.0
     touch: TouchOptions = NO_TOUCH_OPTIONS
     view: bool = True
@@ -69,6 +70,11 @@ class DemoOptions:
     solver: SolverOptions | None = None
     sync_rate: float | None = None
     firmware: Annotated[bool, Parameter(negative=())] = False
+
+    def of_skin(self, place: int, name: str) -> "DemoOptions":
+        """Return the options of one of several skins, by its place among the layouts: the first run has the page."""
+        picture = self.picture.with_name(f"{self.picture.stem}-{name}{self.picture.suffix}")
+        return replace(self, layout=[self.layout[place]], view=self.view and place == 0, picture=picture)
 
     def has_zero_errors(self, layout: Layout) -> bool:
         """Tell whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""

@@ -1,17 +1,16 @@
-"""One run of the whole chain."""
+"""Runs of the whole chain, of one skin or of several on one hub."""
 
 import secrets
 import shlex
 import time
-from collections.abc import Collection
-from contextlib import ExitStack
+from collections.abc import Callable, Collection, Generator, Sequence
+from contextlib import ExitStack, closing
 from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
-from rich.console import Console
 
 from calibration.windows import tare_s
 from canskin.errors import InputError, RunError
@@ -27,7 +26,7 @@ from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
 from shell.service import PAGE_TOKEN, StopSignal, Talk, listen, request_real_time, say, talks
-from shell.terminal import arguments, progress
+from shell.terminal import ProgressBar, arguments, progress
 from skin.layout import Layout, layout_text
 from skin.psnr import adds_noise
 from skin.sources import DEFAULT_OBJECTS, known_objects
@@ -43,10 +42,25 @@ TURN_S: Final = 0.1
 SLOW_START_S: Final = 8.0
 
 
-class Run:
-    """Starts the services, watches them, and reports; the options are checked before."""
+#: What a run does until its report: in each turn it tells the time since its first cycle, seconds, and its state.
+Turns = Generator[tuple[float, str], None, Report]
 
-    def __init__(self, layout: Layout, options: DemoOptions, folder: Path) -> None:
+
+class Run:
+    """Starts the services of a skin, watches them, and reports; the options are checked before.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Of the logs and of the buses' sockets.
+    is_alone : bool
+        No other skin is on the hub. Where others are, the page is of all of them, and waits for their gateways.
+    """
+
+    def __init__(self, layout: Layout, options: DemoOptions, folder: Path, *, is_alone: bool = True) -> None:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        self.name = layout.name
+        self._is_alone = is_alone
         self._layout = layout
         self._options = options
         self.score = Score(layout)
@@ -57,16 +71,15 @@ class Run:
         #: Services were started before, at another rate.
         self._has_begun = False
         self._fabric: Fabric | None = None
-        self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
-        self._path = str(options.layout or "default")
+        self._path = str(options.layout[0]) if options.layout else "default"
         self._lowest_hz = layout.sync.rate_hz * LEAST_PART
         self._judge = rate_judge(self._layout, options, self._lowest_hz)
         if options.sync_rate is not None:
             self._take_rate(options.sync_rate)
 
-    def execute(self, stop: StopSignal) -> Report:
-        """Run the chain until the end of its time or `stop`, and return the figures.
+    def turns(self, endpoint: str, fabric: Fabric, stop: StopSignal, tell: Callable[[str], None]) -> Turns:
+        """Run the chain until the end of its time or `stop`, and return the figures; `tell` prints a line.
 
         Raises
         ------
@@ -76,12 +89,10 @@ class Run:
         if stop.is_set():
             raise KeyboardInterrupt
         with ExitStack() as last:
-            endpoint, fabric = open_hub(self._layout.name, self._options.listen, self._folder)
-            last.callback(fabric.close)
             last.callback(self._supervisor.stop)
             self._fabric = fabric
             self._listen(fabric)
-            while not self._try_rate(stop, endpoint):
+            while not (yield from self._try_rate(stop, endpoint, tell)):
                 self._supervisor.stop()
                 self._supervisor.children.clear()  # services that were ended are not missed
                 self._take_rate(self._layout.sync.rate_hz / 2)
@@ -94,10 +105,12 @@ class Run:
                 time.sleep(TURN_S)  # wait for the last frames and counters
         return self.score.report()
 
-    def _try_rate(self, stop: StopSignal, endpoint: str) -> bool:
+    def _try_rate(
+        self, stop: StopSignal, endpoint: str, tell: Callable[[str], None]
+    ) -> Generator[tuple[float, str], None, bool]:
         """Run the chain to the end of its time; tell at once if the machine does not keep the rate."""
         self._start_services(endpoint)
-        self._await_services(stop)
+        yield from self._await_services(stop)
         if stop.is_set():
             return True
         if not self.score.scheduling:
@@ -106,7 +119,7 @@ class Run:
         self.score = self._new_score()
         tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
         self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
-        return self._follow(stop, endpoint)
+        return (yield from self._follow(stop, endpoint, tell))
 
     def _take_rate(self, rate_hz: float) -> None:
         """Go on with a layout of another rate, and with services that are not there yet."""
@@ -173,63 +186,61 @@ class Run:
         if options.classify:
             start("classifier", "classify", *common, *known, restart=True)
         if self._port is not None:
-            start("viewer", "view", *common, "--port", str(self._port), restart=True)
+            shown = common if self._is_alone else ["--connect", endpoint]
+            start("viewer", "view", *shown, "--port", str(self._port), restart=True)
 
-    def _await_services(self, stop: StopSignal) -> None:
+    def _await_services(self, stop: StopSignal) -> Generator[tuple[float, str]]:
         """Wait until every service is on the fabric."""
         slow_s = inf if self._has_begun else time.monotonic() + SLOW_START_S
         self._has_begun = True
         patience_s = time.monotonic() + READY_PATIENCE_S
-        with self._console.status("starting") as status:
-            while (missing := self._missing()) and not stop.wait(TURN_S):
-                self._supervisor.look(starting=True)
-                status.update(f"starting: waiting for {missing}")
-                if time.monotonic() > slow_s:
-                    slow_s = inf
-                    why = "a first start compiles the solver"
-                    if "classifier" in missing and self._options.model is None:
-                        why += ", and new objects train the classifier (not with --no-classify)"
-                    say("demo", f"waits for {missing}; {why}: minutes")
-                if time.monotonic() > patience_s:
-                    raise RunError(f"{missing} did not become ready in {READY_PATIENCE_S:g} s")
+        while (missing := self._missing()) and not stop.is_set():
+            self._supervisor.look(starting=True)
+            yield 0.0, f"starting: waiting for {missing}"
+            if time.monotonic() > slow_s:
+                slow_s = inf
+                why = "a first start compiles the solver"
+                if "classifier" in missing and self._options.model is None:
+                    why += ", and new objects train the classifier (not with --no-classify)"
+                say("demo", f"waits for {missing}; {why}: minutes")
+            if time.monotonic() > patience_s:
+                raise RunError(f"{missing} did not become ready in {READY_PATIENCE_S:g} s")
 
     def _missing(self) -> str:
         """Name the services that the gateway waits for and that are not on the fabric."""
         wanted = ["classifier"] * self._options.classify + ["nodes", "reconstructor"]
-        wanted += ["viewer"] * (self._port is not None)
+        wanted += ["viewer"] * (self._port is not None and self._is_alone)
         return ", ".join(name for name in wanted if not self._there.holds(name))
 
-    def _follow(self, stop: StopSignal, endpoint: str) -> bool:
+    def _follow(
+        self, stop: StopSignal, endpoint: str, tell: Callable[[str], None]
+    ) -> Generator[tuple[float, str], None, bool]:
         """Show progress until the end of the run, or until the rate is not kept; tell whether it was."""
         if self._port is not None:
-            self._console.print(f"web page: http://127.0.0.1:{self._port}/?token={self._page_token}", soft_wrap=True)
+            tell(f"web page: http://127.0.0.1:{self._port}/?token={self._page_token}")
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
-        self._console.print(f"processes: {pids}", highlight=False, soft_wrap=True)
-        self._await_first_cycle(stop)
+        tell(f"processes{'' if self._is_alone else f' of {self.name}'}: {pids}")
+        yield from self._await_first_cycle(stop)
         addresses = self._addresses(endpoint)
-        with progress("", self._options.seconds) as bar:
-            start_s, before = time.monotonic(), self._supervisor.processor_times()
-            while (elapsed_s := time.monotonic() - start_s) < self._options.seconds:
-                if stop.wait(min(TURN_S, self._options.seconds - elapsed_s)):
-                    break
-                for event in self._supervisor.look():
-                    if talks(Talk.NORMAL):
-                        bar.print(event)
-                bar.update(elapsed_s, self._line())
-                is_kept = self._judge.keeps(self.score.gateway, elapsed_s)
-                while is_kept and self._judge.is_judged and addresses and talks(Talk.NORMAL):
-                    bar.print(addresses.pop(0))
-                if not is_kept:
-                    self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), elapsed_s)
-                    self._say_slower()
-                    return False
-            self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
-        return True
+        start_s, before = time.monotonic(), self._supervisor.processor_times()
+        is_kept = True
+        while is_kept and (elapsed_s := time.monotonic() - start_s) < self._options.seconds and not stop.is_set():
+            yield elapsed_s, self._line()
+            for event in self._supervisor.look():
+                tell(event)
+            is_kept = self._judge.keeps(self.score.gateway, elapsed_s)
+            while is_kept and self._judge.is_judged and addresses:
+                tell(addresses.pop(0))
+        self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
+        if not is_kept:
+            self._say_slower()
+        return is_kept
 
     def _addresses(self, endpoint: str) -> list[str]:
         """Return what programs beside the run need: told when the gateway answers, at the rate of all the run."""
-        watch = ["skin", "monitor", "--connect", endpoint]  # skin doctor, skin list and others take it, too
-        record = ["skin", "record", "run.mcap", "--connect", endpoint]
+        of = ["--connect", endpoint, *([] if self._is_alone else ["--skin", self.name])]
+        watch = ["skin", "monitor", *of]  # skin doctor, skin list and others take it, too
+        record = ["skin", "record", "run.mcap", *of]
         return [
             f"fabric: {endpoint}",
             f"to watch: {shlex.join(watch)}",
@@ -245,11 +256,12 @@ class Run:
             f" complete: {why}. Starting again with {rate_hz / 2:g} Hz; --sync-rate {rate_hz:g} keeps the rate",
         )
 
-    def _await_first_cycle(self, stop: StopSignal) -> None:
+    def _await_first_cycle(self, stop: StopSignal) -> Generator[tuple[float, str]]:
         """Wait for the first SYNC; longer while the gateway compiles."""
         patience_s, is_ready = time.monotonic() + READY_PATIENCE_S, False
-        while not self._has_started() and not stop.wait(TURN_S / 5):
+        while not self._has_started() and not stop.is_set():
             self._supervisor.look()
+            yield 0.0, "starting: waiting for gateway"
             if not is_ready and self.score.gateway is not None:
                 patience_s, is_ready = time.monotonic() + FIRST_CYCLE_PATIENCE_S, True
             if time.monotonic() > patience_s:
@@ -291,10 +303,35 @@ def _known_objects(touching: Collection[str]) -> list[str]:
     return [] if known == DEFAULT_OBJECTS else ["--objects", ",".join(known)]
 
 
-def open_hub(skin: str, listen: str | None, folder: Path) -> tuple[str, Fabric]:
-    """Open a fabric's hub at `listen`, or on a socket in `folder`; return its endpoint and the hub."""
-    endpoint = listen or f"{UNIX}/{folder / 'hub'}"
-    return endpoint, Fabric(skin, "demo", endpoint, hub=True)
+def execute(runs: Sequence[Run], options: DemoOptions, folder: Path, stop: StopSignal) -> list[Report]:
+    """Run the chains on one hub until the end of their time or `stop`, and return the figures of each.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If `stop` came before the first cycle of a run.
+    """
+    endpoint, reports = options.listen or f"{UNIX}/{folder / 'hub'}", dict[Run, Report]()
+    with ExitStack() as closes, progress("", options.seconds) as bar:
+        turns, states = dict[Run, Turns](), dict[Run, tuple[float, str]]()
+        for each in runs:
+            fabric = closes.enter_context(closing(Fabric(each.name, "demo", endpoint, hub=not turns)))
+            turns[each] = closes.enter_context(closing(each.turns(endpoint, fabric, stop, partial(_tell, bar))))
+        while len(reports) < len(runs):
+            for run in [each for each in runs if each not in reports]:
+                try:
+                    states[run] = next(turns[run])
+                except StopIteration as end:
+                    reports[run] = end.value
+            words = [f"{each.name}: " * (len(runs) > 1) + state for each, (_, state) in states.items()]
+            bar.update(min((done_s for done_s, _ in states.values()), default=0.0), "  ".join(words))
+            stop.wait(TURN_S)
+    return [reports[each] for each in runs]
+
+
+def _tell(bar: ProgressBar, line: str) -> None:
+    if talks(Talk.NORMAL):
+        bar.print(line)
 
 
 def _page_port(wanted: int | None) -> int:

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.intake import CAME
+from bus.told import CAME, NO_STAMPS, STAMP_ERROR
 from canskin.messages import FrameCounts
 from dbc.codec import read_raw
 from dbc.contract import Contract, FrameTable
@@ -41,7 +41,7 @@ from gateway.open_cycles import (
     spoil_bus,
 )
 from gateway.proven_blocks import ProvenBlocks
-from gateway.sync_times import NO_STAMPS, SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
+from gateway.sync_times import SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
 from gateway.turn import wait_and_sort
 from shell.compiled import Held, borrowed, hold, njit
 from skin.sync_counter import SYNC_OVERFLOW
@@ -164,9 +164,9 @@ def take_turn(rest_ns: int, wait_ns: int, turns: int, held: Any, turn: Any) -> i
     now = borrowed(turn.value)
     restless = wait_and_sort(rest_ns, wait_ns, borrowed(held.value)[0], now)
     for bus in range(now.is_calm.size):
-        count = now.intake.told[bus, CAME]
-        if now.is_calm[bus] and count:
-            take_all(now.intake.rows[bus, :count], now.places[bus], bus, 0, turns, held)
+        told = now.intake.told[bus]
+        if now.is_calm[bus] and told[CAME]:
+            take_all(now.intake.rows[bus, : told[CAME]], now.places[bus], bus, told[STAMP_ERROR], turns, held)
     return restless
 
 
@@ -398,7 +398,7 @@ class Collector:
         take_all(batch.rows, batch.places, batch.bus, error_ns, self._contract.turns, self._held)
 
     def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
-        """Do what `take_turn` does."""
+        """Wait for frames and use those of calm buses, see `gateway.turn`; return how many buses are not calm."""
         return take_turn(rest_ns, wait_ns, self._contract.turns, self._held, turn)
 
     def lost(self, bus: int) -> None:

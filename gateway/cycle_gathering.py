@@ -16,7 +16,6 @@ from gateway.batch import Batch
 from gateway.collector import Collector
 from gateway.gathering import Health, Sync
 from gateway.open_cycles import slot_of
-from shell.compiled import Held
 
 #: Frames of a bus that may wait unread: receive buffers hold twice as many.
 MOST_UNREAD: Final = 64
@@ -37,6 +36,8 @@ class CycleGathering:
     Attributes
     ----------
     collector : Collector
+    turn : callable
+        That of the collector.
     """
 
     #: Time between two looks at the measurements in a replay; None: they are due by frames and SYNCs alone.
@@ -46,6 +47,7 @@ class CycleGathering:
 
     def __init__(self, contract: Contract, early_echoes: Collection[int] = ()) -> None:
         self.collector = Collector(contract, early_echoes)
+        self.turn = self.collector.turn
         self.published = self.complete = 0
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
@@ -102,10 +104,6 @@ class CycleGathering:
             self.collector.lost(batch.bus)
         self.collector.take(batch, health.stamp_error_ns)
         self._has_stamps[batch.bus] = health.stamp_error_ns is not None
-
-    def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
-        """Wait for frames and use those of calm buses, see `gateway.turn`; return how many buses are not calm."""
-        return self.collector.turn(rest_ns, wait_ns, turn)
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles closed for it."""

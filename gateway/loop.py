@@ -27,7 +27,6 @@ from gateway.sdo import TIMEOUT_S
 from gateway.stepped_gathering import RATES_HZ, SteppedGathering
 from gateway.sync_clock import LATEST, SyncClock
 from gateway.turn import Turn, new_turn
-from shell.compiled import Held
 from skin.ranges import ranges_text
 
 #: Period of `_look_after_nodes`.
@@ -84,6 +83,8 @@ class GatewayLoop:
     ----------
     gathering : CycleGathering or SteppedGathering
         Makes measurements of frames, as the layout's nodes send them.
+    turn : callable
+        Waits for frames and uses those of calm buses, see `gateway.turn`; returns how many buses are not calm.
     sync : SyncClock
     masters : dict of int to NmtMaster
         By number of the bus.
@@ -116,6 +117,7 @@ class GatewayLoop:
             if contract.in_steps
             else CycleGathering(contract, early_echoes)
         )
+        self.turn = self.gathering.turn
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
         self._tick_s = self._look_s = self._time_due_s = now_s
@@ -139,10 +141,6 @@ class GatewayLoop:
     def new_turn(self) -> Turn:
         """Return what `turn` needs, without links yet."""
         return new_turn(self._contract.layout.bus, self._busy_ns)
-
-    def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
-        """Wait for frames and use those of calm buses, see `gateway.turn`; return how many buses are not calm."""
-        return self.gathering.turn(rest_ns, wait_ns, turn)
 
     def take(
         self,

@@ -24,7 +24,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     NmtCommand,
 )
-from dbc.configuration import QUIET_S, calibration, configuration, expected_signature, proof_period_s
+from dbc.configuration import QUIET_S, compared, expected_signature, proof_period_s
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, Frames
 from gateway.foreign_sdo import CONFIGURATION, GAINS, ForeignClient
@@ -92,7 +92,7 @@ class NmtMaster:
                 ForeignClient({each.index: CONFIGURATION for each in settings} | {each.index: GAINS for each in gains}),
             )
             for node in contract.on_bus(bus)
-            for settings, gains in [(configuration(contract, node), calibration(contract, node))]
+            for settings, gains in [compared(contract, node)]
         }
         self.node_ids = list(self.nodes)
         self._proofs = ProofSchedule([*self.nodes.values()], proof_period_s(contract, bus))

@@ -7,8 +7,9 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from bus.intake import DROPPED, IS_READY, Readable, attach
+from bus.intake import Readable, attach
 from bus.link import Link, State
+from bus.told import DROPPED, IS_READY
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, Measurement
 from dbc.contract import Contract

@@ -105,7 +105,7 @@ class SteppedGathering:
         self._median_n = 0.0
         self._buses = {number: self._bus(number, master) for number, master in masters.items()}
         self._counter = 0
-        self._news = np.zeros((len(contract.layout.bus), 2), np.int64)
+        self._news = np.zeros((len(contract.layout.bus), 3), np.int64)
         #: When the newest frame ended that is in the sums; before the first, the start.
         self._newest_ns = round(now_s * 1e9)
         #: Bound of the age of its sample, with the error of its time stamp.
@@ -170,9 +170,9 @@ class SteppedGathering:
     def turn(self, rest_ns: int, wait_ns: int, turn: Held) -> int:
         """Wait for frames and use those of calm buses, see `gateway.turn`; return how many buses are not calm."""
         restless = take_turn(rest_ns, wait_ns, self._known, turn, self._news)
-        for bus, (newest_ns, taken_ns) in enumerate(self._news.tolist()):
-            if newest_ns > NEVER_NS:
-                self._note(self._buses[bus], newest_ns, taken_ns, 0)
+        for bus, news in enumerate(self._news.tolist()):
+            if news[0] > NEVER_NS:
+                self._note(self._buses[bus], *news)
         return restless
 
     def _note(self, bus: _Bus, newest_ns: int, taken_ns: int, stamp_error_ns: int | None) -> None:

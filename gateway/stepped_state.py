@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.intake import CAME
+from bus.told import CAME, STAMP_ERROR
 from dbc.contract import Contract, PartTable
 from dbc.dictionary import slot_offset_us
 from dbc.frame import DATA_AT, TIME_AT
@@ -214,15 +214,16 @@ def take_rows(rows: Rows, places: Places, bus: int, known: Any) -> tuple[int, in
 def take_turn(rest_ns: int, wait_ns: int, known: Any, turn: Any, news: Integers) -> int:
     """Wait for frames and use those of calm buses; `turn` is a `gateway.turn.Turn` that is held.
 
-    Write what `take_all` returns into `news`, shape (buses, 2), and return how many buses are not calm.
+    Write into `news`, shape (buses, 3), what `take_all` returns and the bound of the error of the time stamps; return
+    how many buses are not calm.
     """
     now = borrowed(turn.value)
     restless = wait_and_sort(rest_ns, wait_ns, borrowed(known.value)[2], now)
     for bus in range(now.is_calm.size):
-        count = now.intake.told[bus, CAME]
-        news[bus, 0] = NEVER_NS
-        if now.is_calm[bus] and count:
-            news[bus, 0], news[bus, 1] = take_rows(now.intake.rows[bus, :count], now.places[bus], bus, known)
+        told = now.intake.told[bus]
+        news[bus, 0], news[bus, 2] = NEVER_NS, told[STAMP_ERROR]
+        if now.is_calm[bus] and told[CAME]:
+            news[bus, 0], news[bus, 1] = take_rows(now.intake.rows[bus, : told[CAME]], now.places[bus], bus, known)
     return restless
 
 

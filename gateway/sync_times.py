@@ -16,19 +16,17 @@ stamp, so this time stamp is exact.
 """
 
 from collections.abc import Collection
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from bus.told import NO_STAMPS
 from canskin.messages import UNKNOWN_ERROR_NS
 from dbc.contract import Contract, sync_frame
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
 from gateway.open_cycles import SLOTS, Flags, Integers, slot_of
 from shell.compiled import njit
-
-#: The error of a clock that gives no time stamps.
-NO_STAMPS: Final = -1
 
 
 class SampledTimes(NamedTuple):

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bus.intake import CAME, DROPPED, FD, HAS_FAILED, IS_READ, STATE, Intake, Integers, new_intake, read_links
+from bus.intake import Intake, new_intake, read_links
+from bus.told import CAME, DESCRIPTOR, DROPPED, HAS_FAILED, NEEDS_LOOK, READER, STATE, Integers
 from dbc.stuff_bits import time_of_all_ns
 from gateway.batch import sort
 from shell.compiled import njit
@@ -65,8 +66,8 @@ def wait_and_sort(rest_ns: int, wait_ns: int, table: Any, turn: Turn) -> int:
     restless = 0
     for bus in range(turn.is_calm.size):
         told, rows = turn.intake.told[bus], turn.intake.rows[bus, : turn.intake.told[bus, CAME]]
-        is_calm = told[FD] >= 0 and told[IS_READ] and not (told[HAS_FAILED] or told[STATE] or turn.is_restless[bus])
-        is_calm &= told[DROPPED] == turn.dropped[bus]
+        is_calm = told[DESCRIPTOR] >= 0 and told[READER] and not (told[HAS_FAILED] or told[STATE] or told[NEEDS_LOOK])
+        is_calm &= not turn.is_restless[bus] and told[DROPPED] == turn.dropped[bus]
         if is_calm and told[CAME]:
             tells_loss, echoes, other_syncs, talk = sort(rows, bus, table, turn.places[bus])
             is_calm = not (tells_loss or echoes or other_syncs or len(talk))

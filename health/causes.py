@@ -39,6 +39,11 @@ class Cause(Enum):
     SERVICE_SILENT = (ERROR, "images or labels stop", "restart the service: it has input and sends nothing")
     SERVICE_DIFFERS = (ERROR, "a service has another Φ or version", "give it the same --layout and version of canskin")
     SERVICE_DROPS = (WARNING, "a service misses messages", "give its host more processor time: 'skin doctor time'")
+    CLOCK_UNSURE = (
+        INFO,
+        "times of a service on another machine are not exact",
+        "use a wire in place of radio between the machines; let PTP (ptp4l) or NTP (chronyd) have set both clocks",
+    )
     NO_IMAGE = (INFO, "no image yet", "wait, or start 'skin reconstruct'")
     MISFITS = (WARNING, "messages do not fit the skin", "give all services the same --layout")
     RECORDING_ENDED = (ERROR, "the recording has ended", "free the disk, and start it again")

@@ -22,6 +22,8 @@ FULL_RATIO: Final = 0.97
 #: So many nodes at an end of a bus that fall silent within this time are a broken cable.
 BROKEN_AT_LEAST: Final = 2
 TOGETHER_S: Final = 2.0
+#: A larger error of the clock between two machines is told, s: half a cycle at 100 Hz.
+CLOCK_ERROR_S: Final = 0.005
 _SILENT: Final = (Cause.NODE_SILENT.code, Cause.NODE_ABSENT.code)
 #: Beside such nodes no cable is broken: all of them come back, one after another, or a board fills the bus.
 _NOT_BROKEN: Final = {Cause.NODE_BOOTED.code, Cause.NODE_STARTING.code, Cause.NODE_TWICE.code}
@@ -78,6 +80,9 @@ def _misfits(state: Snapshot) -> Iterator[Notice]:
         if service.alive and service.loses_since_time_s is not None:
             text = f"{name} is too slow: {service.lost} messages are lost so far"
             yield Cause.SERVICE_DROPS.notice(text, name, service.loses_since_time_s)
+        if service.alive and (error_s := service.clock_error_s or 0.0) > CLOCK_ERROR_S:
+            text = f"{name} knows the clock of the gateway's machine to {1e3 * error_s:.0f} ms"
+            yield Cause.CLOCK_UNSURE.notice(text, name)
         if service.alive and service.difference:
             yield Cause.SERVICE_DIFFERS.notice(service.difference, name, service.since_time_s)
 

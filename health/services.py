@@ -6,7 +6,7 @@ from typing import Final, TypeVar
 
 import msgspec
 
-from canskin.messages import ServiceStatus
+from canskin.messages import UNKNOWN_ERROR_NS, ServiceStatus
 from canskin.peers import Peer
 from health.snapshot import Service
 
@@ -130,6 +130,9 @@ class Services:
         told = [self._told[each.instance] for each in peers if each.instance in self._told]
         told = [each for each in told if now_s - each.at_s < TOLD_S]
         loses_since_s = [since_s for each in told if (since_s := each.loses_since_s(now_s)) is not None]
+        clocks = [(each.status.clock_error_ns, each.status.clock_offset_ns) for each in told]
+        error_ns, offset_ns = max(clocks, default=(UNKNOWN_ERROR_NS, 0))
+        is_told = error_ns != UNKNOWN_ERROR_NS
         return msgspec.structs.replace(
             service,
             version=peer.version,
@@ -140,6 +143,8 @@ class Services:
             processor_ratio=_sum(each.processor_ratio for each in told),
             made_per_s=_sum(each.made_per_s for each in told),
             loses_since_time_s=self._epoch_s + min(loses_since_s) if loses_since_s else None,
+            clock_offset_s=offset_ns * 1e-9 if is_told else None,
+            clock_error_s=error_ns * 1e-9 if is_told else None,
         )
 
 

@@ -65,6 +65,9 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
         ended; None if none has told.
     loses_since_time_s : float or None
         Wall-clock time since when more and more are lost.
+    clock_offset_s, clock_error_s : float or None
+        Of a service that uses the clock of the gateway's machine: how far that clock is ahead of its own, and the bound
+        of the error. Of several with one name, those of the largest error.
     """
 
     alive: bool
@@ -81,6 +84,8 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     missed: int | None = None
     overruns: int | None = None
     loses_since_time_s: float | None = None
+    clock_offset_s: float | None = None
+    clock_error_s: float | None = None
 
     @property
     def lost(self) -> int:

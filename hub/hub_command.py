@@ -15,7 +15,7 @@ from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import Insecure, check_listen
 
 
-def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
+def hub(*, listen: str = DEFAULT_ENDPOINT, join: str | None = None, insecure: Insecure = False) -> None:
     """Pass the messages of one skin or of many, so that a gateway that stops cuts nobody else off.
 
     With ``--keys`` of role hub every program needs keys, and does what its role may: see ``skin keys explain``. What
@@ -26,6 +26,8 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     ----------
     listen
         Endpoint; default: a socket that only this user may open, with keys tls/127.0.0.1:7447.
+    join
+        Endpoint of the hub of another machine: the skins of both are then on both. With keys both are of one authority.
     insecure
         Listen to a network without keys: everybody there can read the skin, tare it and send false images.
 
@@ -33,6 +35,7 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     --------
     skin hub
     skin hub --listen tls/0.0.0.0:7447 --keys keys/hub
+    skin hub --join tls/10.0.0.5:7447 --keys keys/hub
     """
     pulse = Pulse(StopSignal().install())
     check_listen(listen, insecure=insecure)
@@ -49,7 +52,7 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
         revoked = read_holders(keys.folder).revoked
         read_stdout(Denials(lambda text: say("hub", text), revoked).take)
         print_denials()
-    with closing(open_hub(endpoint, keys, rules)):
+    with closing(open_hub(endpoint, keys, rules, joins=join)):
         address = endpoint.replace("/0.0.0.0:", "/HOST:").replace("/[::]:", "/HOST:")
         say("hub", f"listens on {endpoint}: give {address} to 'skin gateway' and all others as --connect")
         request_real_time("hub")

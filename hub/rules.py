@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canskin.errors import InputError
-from canskin.keys import PROTOCOLS_WITH_KEYS, parts_of
+from canskin.keys import HUB, PROTOCOLS_WITH_KEYS, parts_of
 from canskin.peers import EVERY_KEY
 from canskin.roles import ROLES
 from hub.holders import read_holders
@@ -18,6 +18,10 @@ from hub.holders import read_holders
 _TO_HUB: Final = "ingress"
 _FROM_HUB: Final = "egress"
 _REVOKED: Final = "revoked"
+_MESSAGES: Final = (
+    *("put", "declare_subscriber", "query", "declare_queryable", "reply"),
+    *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
+)
 
 
 def access_control(folder: Path) -> dict[str, Any]:
@@ -39,9 +43,9 @@ def access_control(folder: Path) -> dict[str, Any]:
     names: defaultdict[str, list[str]] = defaultdict(list)
     for common_name in holders.until:
         skin, role, _ = parts_of(common_name)
-        if role in ROLES:
+        if role in ROLES or role == HUB:
             names[_REVOKED if common_name in holders.revoked else f"{skin}:{role}"].append(common_name)
-    if not names:
+    if all(group.endswith(f":{HUB}") for group in names):
         raise InputError(f"{folder}: the list has no holder of keys: 'skin keys add'")
     rules, policies = [], []
     for group in names:
@@ -67,6 +71,9 @@ def access_control(folder: Path) -> dict[str, Any]:
 
 def _grants(skin: str, role: str) -> Iterator[tuple[str, list[str], list[str]]]:
     """Yield direction, kinds of messages and keys of all that a role needs."""
+    if role == HUB:  # another hub passes what its own rules allow
+        yield from ((flow, list(_MESSAGES), ["canskin/**"]) for flow in (_TO_HUB, _FROM_HUB))
+        return
     allowed = ROLES[role]
     put, subscribe, ask, answer = (
         [f"canskin/{skin}/{name}" for name in names]

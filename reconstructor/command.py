@@ -47,7 +47,7 @@ def reconstruct(
     warm_up(skin, imager)
     with closing(of.join(skin, "reconstructor", pulse)) as fabric:
         pulse.fabric = fabric
-        service = ReconstructorService(skin, imager, fabric, instance=fabric.instance)
+        service = ReconstructorService(skin, imager, fabric, instance=fabric.instance, clock_ns=fabric.clock().now_ns)
         say("reconstructor", f"{skin.taxels.words}, {imager.about}")
         service.schedule(fabric.tell_scheduling)
         service.run(stop, pulse.beat)

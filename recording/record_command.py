@@ -3,7 +3,7 @@
 import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -38,7 +38,8 @@ from recording.sinks import Sink, check_format, open_sinks
 from shell.output import check_new_path
 from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
-from shell.skin_options import SkinOptions
+from shell.skin_options import SkinOptions, hub_layout, knows_layout
+from skin.difference import difference
 from skin.layout import Layout, changed
 from skin.ranges import require_above_zero
 
@@ -117,6 +118,8 @@ def record(
         for each in parts:
             each.close()
     _conclude([each.recorder for each in parts], out)
+    if differs := "; ".join(filter(None, (each.differs for each in parts))):
+        raise RunError(f"{out} has ended: the gateway has another layout now: {differs}. Record it in another file")
 
 
 def _check_kept(out: Path, option: str, is_given: bool) -> None:
@@ -126,11 +129,15 @@ def _check_kept(out: Path, option: str, is_given: bool) -> None:
 
 
 class _Part:
-    """What records a skin: its buses and, as soon as there is a hub, what its services send."""
+    """What records a skin: its buses and, as soon as there is a hub, what its services send.
+
+    A gateway that comes back with another layout ends the recording: `differs` tells how.
+    """
 
     def __init__(self, skin: Layout, links: dict[int, Link], sink: Sink, stop: StopSignal) -> None:
         self._skin, self._stop, self._pulse = skin, stop, Pulse(stop)
         self._joining: threading.Thread | None = None
+        self._started, self.differs = threading.Event(), ""
         names = {number: each.name for number, each in enumerate(skin.bus)}
         self.recorder = Recorder(links, sink, names, beat=self._pulse.beat)
 
@@ -158,6 +165,8 @@ class _Part:
         def note(peer: Peer, alive: bool) -> None:
             if peer.skin == self._skin.name:
                 recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
+                if alive and knows_layout(peer):
+                    self._started.set()
 
         def subscribe(fabric: Fabric) -> None:  # before a program sees the recorder, and sends it marks
             fabric.watch_peers(note)
@@ -171,7 +180,20 @@ class _Part:
         except (BusError, LayoutError) as error:
             say("record", f"frames alone: {error}")
             return
-        follow_calibration(fabric, recorder.take_file, self._stop)
+        fabric.clock()  # what is known of it is among the messages
+        follow_calibration(fabric, recorder.take_file, self._stop, partial(self._compare, of.endpoint))
+
+    def _compare(self, endpoint: str) -> None:
+        """End the recording if a gateway has come that has another layout."""
+        if not self._started.is_set():
+            return
+        self._started.clear()
+        with suppress(BusError, Stopped):  # the gateway has left again
+            told = hub_layout(endpoint, self._skin.name, self._stop, service="recorder")
+            if differs := difference(msgspec.to_builtins(self._skin), msgspec.to_builtins(told)):
+                self.differs = differs
+                self.recorder.take_event("record", f"the gateway has another layout now: {differs}")
+                self._stop.set()
 
 
 def _open(skins: Sequence[Layout], bus: BusOptions, stop: StopSignal, *, frames: bool) -> Iterator[dict[int, Link]]:

@@ -4,7 +4,7 @@ import time
 from typing import Final, NamedTuple
 
 #: Readings of which the best is taken: a process may be interrupted between two clocks.
-_READINGS: Final = 3
+READINGS: Final = 3
 
 
 class WallOffset(NamedTuple):
@@ -16,7 +16,7 @@ class WallOffset(NamedTuple):
 
 def wall_offset() -> WallOffset:
     """Read the wall clock between two readings of CLOCK_MONOTONIC."""
-    return min((_read() for _ in range(_READINGS)), key=lambda read: read.error_ns)
+    return min((_read() for _ in range(READINGS)), key=lambda read: read.error_ns)
 
 
 def _read() -> WallOffset:

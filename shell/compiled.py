@@ -15,15 +15,16 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import FunctionType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 import numba
 import numpy as np
 from numba import config, types
-from numba.core import caching, cgutils, event
+from numba.core import caching, cgutils, dispatcher, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime.nrt import rtsys
 from numba.experimental import structref
 from numba.extending import intrinsic, is_jitted
 from numba.np.arrayobj import make_array
@@ -96,7 +97,11 @@ class _Stamped:
         self._globals = py_func.__globals__
         self._file = py_file
 
-    def get_source_stamp(self) -> str:
+    def get_source_stamp(self) -> Self:
+        """Return what has the stamp as its text, for `Index`: most kernels of a process are never called."""
+        return self
+
+    def __str__(self) -> str:
         """Return a hash over the files of the kernel and of the kernels that it can call, and over what these name.
 
         The files' names are those of their modules: a copy of the project can use what the project has compiled.
@@ -123,6 +128,7 @@ class Index(caching.IndexDataCacheFile):
 
     def _load_index(self) -> Any:
         """Return what was kept; nothing where the class of an argument is gone, which Numba finds before the stamp."""
+        self._source_stamp = str(self._source_stamp)
         try:
             return super()._load_index()  # type: ignore[no-untyped-call]
         except (AttributeError, ImportError):
@@ -130,6 +136,18 @@ class Index(caching.IndexDataCacheFile):
 
 
 caching.IndexDataCacheFile = Index  # type: ignore[misc]
+
+
+class Cache(caching.FunctionCache):
+    """The cache of a kernel, which loads without what the compiler alone needs, and prepares when it compiles."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the kernel for a signature, None if there is none."""
+        rtsys.initialize(target_context)
+        return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+
+dispatcher.FunctionCache = Cache  # type: ignore[attr-defined]
 
 
 def _collect(file: str, names: dict[str, Any], parts: dict[str, str]) -> None:

@@ -72,6 +72,7 @@ class Pulse:
 
 
 def _status(fabric: Fabric, made: int, load_ratio: float) -> ServiceStatus:
+    clock_offset_ns, clock_error_ns = fabric.clock_ns
     is_thread = isinstance(threading.current_thread(), ServiceThread)
     return ServiceStatus(
         time_ns=time.time_ns(),
@@ -83,6 +84,8 @@ def _status(fabric: Fabric, made: int, load_ratio: float) -> ServiceStatus:
         overruns=fabric.overruns,
         made=made,
         load_ratio=load_ratio,
+        clock_offset_ns=clock_offset_ns,
+        clock_error_ns=clock_error_ns,
     )
 
 

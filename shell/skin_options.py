@@ -28,6 +28,7 @@ from canskin.session import (
     is_open,
     peers_at,
 )
+from canskin.skin_clock import TIME, time_reply
 from recording import is_recording
 from skin.description import describe
 from skin.difference import difference
@@ -219,6 +220,7 @@ def join(
             check_bytes(len(told.toml), LayoutError, f"the text of layout '{layout.name}'")
             fabric.answer(LAYOUT, lambda _request, reply: reply(told))
             fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
+            fabric.answer(TIME, lambda _request, reply: reply(time_reply()))
         prepare(fabric)
 
     return Fabric(

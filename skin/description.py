@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from canskin.description import Description, boot_id
+from canskin.description import Description
+from canskin.skin_clock import machine
 from skin.layout import Layout
 
 
@@ -24,7 +25,7 @@ def describe(layout: Layout) -> Description:
         rate_hz=layout.sync.rate_hz if layout.sends.in_cycles else layout.samples_per_sync * layout.sync.rate_hz,
         sending=layout.sending,
         fingerprint=phi.fingerprint,
-        boot_id=boot_id(),
+        boot_id=machine(),
         is_grid=surface.is_grid,
         positions=surface.positions_m.astype("<f4").tobytes(),
         normals=surface.normals.astype("<f4").tobytes(),

@@ -117,7 +117,8 @@ class ConnectedSkin(Skin):
         self._peers: dict[str, Peer] = {}
         self._asks_at_s = 0.0
         self._status: GatewayStatus | None = None
-        self._builder = FrameBuilder(layout)
+        self._clock = fabric.clock(layout.boot_id)
+        self._builder = FrameBuilder(layout, self._clock)
         self._lock = threading.Lock()
         self._came = threading.Condition()
         self._hub = FrameHub(timeout_s, self._silence)
@@ -196,7 +197,7 @@ class ConnectedSkin(Skin):
         with self._lock:
             if layout.fingerprint != self.layout.fingerprint:
                 self.layout = layout
-                self._builder, refused = FrameBuilder(layout), self._builder.refused
+                self._builder, refused = FrameBuilder(layout, self._clock), self._builder.refused
                 self._builder.refused = refused
 
     def _note(self, peer: Peer, is_alive: bool) -> None:

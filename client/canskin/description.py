@@ -1,6 +1,5 @@
 """What a program has to know of a skin to use its messages."""
 
-from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -9,9 +8,6 @@ import numpy.typing as npt
 
 from canskin.question import Question
 from canskin.text import Told
-
-#: Linux: a random number of each boot.
-_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
 class DescriptionRequest(msgspec.Struct, frozen=True):
@@ -45,7 +41,7 @@ class Description(Told, frozen=True, kw_only=True):
     fingerprint : str
         Fingerprint of Φ.
     boot_id : str
-        Of the gateway's machine: on the same machine monotonic times can be compared. Empty if unknown.
+        `canskin.skin_clock.machine` of the gateway. Empty if unknown.
     is_grid : bool
         Whether the taxels are a grid. Else there is one row, and `positions` and `normals` tell the shape.
     positions, normals : bytes
@@ -130,11 +126,3 @@ class LayoutReply(msgspec.Struct, frozen=True):
 #: The gateway answers both.
 LAYOUT: Final = Question("layout", LayoutRequest, LayoutReply)
 DESCRIPTION: Final = Question("description", DescriptionRequest, Description)
-
-
-def boot_id() -> str:
-    """Return the number of this machine's boot; empty if it has none."""
-    try:
-        return _BOOT_ID.read_text().strip()
-    except OSError:
-        return ""

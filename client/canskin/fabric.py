@@ -20,11 +20,12 @@ import zenoh
 
 from canskin.errors import UNDECODABLE, BusError, DeniedError, tell
 from canskin.keys import Keys, environment_keys
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Topic
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, UNKNOWN_ERROR_NS, Topic
 from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
 from canskin.roles import Action, refusal
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, checked, first_sentence, open_client, open_hub, peers_of
+from canskin.skin_clock import CLOCK_S, TIME, SkinClock, TimeRequest
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.
@@ -363,6 +364,7 @@ class Fabric:
         else:
             open_session = partial(open_client, endpoint, service, stop, patience_s, keys=keys)
         self._closed = threading.Event()
+        self._clock: SkinClock | None = None
         self._token: Any = None
         self._elsewhere = zenoh.Locality.ANY if self._shared is None else zenoh.Locality.REMOTE
         self._session = open_session() if self._shared is None else self._shared.enter(open_session)
@@ -544,6 +546,31 @@ class Fabric:
     def peers(self) -> list[Peer]:
         """Return the services of all skins that are on the hub now; with a name of its own not at once all of them."""
         return peers_of(self._session)
+
+    def clock(self, of: str = "") -> SkinClock:
+        """Return the clock of the skin, which a thread follows from now on.
+
+        Parameters
+        ----------
+        of : str, optional
+            `canskin.skin_clock.machine` of the gateway, if it is known.
+        """
+        clock = self._clock = SkinClock(of)
+        ask = partial(self.ask, TIME, TimeRequest(), CLOCK_S)
+
+        def follow() -> None:
+            while threading.main_thread().is_alive() and not self._closed.wait(clock.period_s):
+                with suppress(zenoh.ZError):  # the connection is closed now
+                    clock.look(ask)
+
+        clock.look(ask)
+        threading.Thread(target=follow, name="clock").start()
+        return clock
+
+    @property
+    def clock_ns(self) -> tuple[int, int]:
+        """Offset and error of `clock`, see `canskin.messages.ServiceStatus`."""
+        return (0, UNKNOWN_ERROR_NS) if self._clock is None else self._clock.known()
 
     def close(self) -> None:
         """Close the connection after all published messages are sent."""

@@ -9,9 +9,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.description import Description, boot_id
+from canskin.description import Description
 from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, Contact, Contacts, EndedContact, Image, Label, Measurement
+from canskin.skin_clock import SkinClock
 from canskin.sums import corrected_counts, doubtful_taxels
 
 #: Measurements, contacts and labels that wait for the image of their cycle.
@@ -78,7 +79,7 @@ class Frame:
     sampled_mono_ns: int
     sampled_error_s: float
     _skin: Description = field(repr=False)
-    _same_machine: bool = field(default=True, repr=False)
+    _clock: SkinClock = field(repr=False)
 
     @property
     def image(self) -> npt.NDArray[np.float32]:
@@ -105,10 +106,19 @@ class Frame:
 
     @property
     def age(self) -> float:
-        """Seconds since the boards sampled; on another machine than the gateway's as good as the two wall clocks."""
-        if self._same_machine:
-            return (time.monotonic_ns() - self.sampled_mono_ns) * 1e-9
-        return time.time() - self.sampled_at
+        """Seconds since the boards sampled; `age_error_s` bounds the error."""
+        if self._clock.known()[1] == UNKNOWN_ERROR_NS:
+            return time.time() - self.sampled_at
+        return (self._clock.now_ns() - self.sampled_mono_ns) * 1e-9
+
+    @property
+    def age_error_s(self) -> float:
+        """Bound of the error of `age` now: that of the sampling instant, and that of the clock of another machine.
+
+        Infinite if the age is that of the wall clocks of two machines, because the gateway does not tell its time.
+        """
+        error_ns = self._clock.known()[1]
+        return float("inf") if error_ns == UNKNOWN_ERROR_NS else self.sampled_error_s + error_ns * 1e-9
 
 
 class FrameBuilder:
@@ -122,12 +132,12 @@ class FrameBuilder:
         Number of messages whose arrays do not fit the description.
     """
 
-    def __init__(self, description: Description) -> None:
+    def __init__(self, description: Description, clock: SkinClock | None = None) -> None:
         self.refused = 0
         self._about = description
         self._blocks = description.block_of_taxel
         self._block_of_sum = description.block_of_sum
-        self._same_machine = bool(description.boot_id) and description.boot_id == boot_id()
+        self._clock = clock or SkinClock(description.boot_id)
         self._measurements: OrderedDict[tuple[int, int], Measurement] = OrderedDict()
         self._labels: OrderedDict[tuple[int, int], Label] = OrderedDict()
         self._wall_offset_ns: int | None = None
@@ -203,7 +213,7 @@ class FrameBuilder:
                 if image.sampled_error_ns == UNKNOWN_ERROR_NS
                 else image.sampled_error_ns * 1e-9,
                 _skin=about,
-                _same_machine=self._same_machine,
+                _clock=self._clock,
             )
         ]
 

@@ -129,11 +129,11 @@ class Keys:
 
     def settings(self, *, is_hub: bool) -> dict[str, Any]:
         """Return zenoh's settings: both sides show a certificate, and the hub's names its host."""
-        side = "listen" if is_hub else "connect"
+        sides = ("listen", "connect") if is_hub else ("connect",)  # a hub may join another
         values = {
             "root_ca_certificate": str(self.folder / CA),
-            f"{side}_certificate": str(self.folder / CERTIFICATE),
-            f"{side}_private_key": str(self.folder / KEY),
+            **{f"{side}_certificate": str(self.folder / CERTIFICATE) for side in sides},
+            **{f"{side}_private_key": str(self.folder / KEY) for side in sides},
             "enable_mtls": True,
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,

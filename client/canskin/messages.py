@@ -582,6 +582,9 @@ class ServiceStatus(Told, frozen=True, kw_only=True):
         Images and labels of a service that stands by count, too.
     load_ratio : float
         Processor time of its process in the last second, of one core.
+    clock_offset_ns, clock_error_ns : int
+        How far the monotonic clock of the gateway's machine is ahead, and the bound of the error; `UNKNOWN_ERROR_NS` if
+        unknown, or if the service needs no other clock than its own.
     """
 
     time_ns: int
@@ -593,6 +596,8 @@ class ServiceStatus(Told, frozen=True, kw_only=True):
     overruns: int = 0
     made: int = 0
     load_ratio: float = 0.0
+    clock_offset_ns: int = 0
+    clock_error_ns: int = UNKNOWN_ERROR_NS
 
 
 class Topic(msgspec.Struct, frozen=True):

@@ -10,12 +10,13 @@ from canskin.calibration_messages import CALIBRATION, ZERO
 from canskin.description import DESCRIPTION, LAYOUT
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, NODES, SERVICES, TRUTH, Topic
 from canskin.question import Question
+from canskin.skin_clock import TIME
 
 #: Publish a topic, hear a topic, ask a question, answer a question, be seen under the name of a service.
 Action = Literal["put", "subscribe", "ask", "answer", "appear"]
 ACTIONS: Final[tuple[Action, ...]] = ("put", "subscribe", "ask", "answer", "appear")
 TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH, MARK, GATEWAY, NODES, SERVICES)
-QUESTIONS: Final = (LAYOUT, DESCRIPTION, CALIBRATION, ZERO)
+QUESTIONS: Final = (LAYOUT, DESCRIPTION, TIME, CALIBRATION, ZERO)
 #: What a program needs that shows touches.
 _OUTPUTS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY)
 
@@ -68,7 +69,7 @@ ROLES: Final = {
         ("reconstructor",),
         put=(IMAGE, CONTACTS, SERVICES),
         subscribe=(MEASUREMENT, IMAGE, CONTACTS),
-        ask=(LAYOUT,),
+        ask=(LAYOUT, TIME),
     ),
     "classifier": Role(
         "skin classify: names what touches the skin",
@@ -82,7 +83,7 @@ ROLES: Final = {
         ("gateway", "reconstructor"),
         put=(MEASUREMENT, GATEWAY, IMAGE, CONTACTS, SERVICES),
         subscribe=(MEASUREMENT, IMAGE, CONTACTS, LABEL, SERVICES),
-        ask=(LAYOUT,),
+        ask=(LAYOUT, TIME),
         answer=QUESTIONS,
     ),
     "viewer": Role(
@@ -97,13 +98,13 @@ ROLES: Final = {
         ("recorder",),
         put=(SERVICES,),
         subscribe=TOPICS,
-        ask=(LAYOUT, ZERO),
+        ask=(LAYOUT, TIME, ZERO),
     ),
     "client": Role(
         "canskin.connect(): a program that reads frames",
         ("client",),
         subscribe=_OUTPUTS,
-        ask=(DESCRIPTION,),
+        ask=(DESCRIPTION, TIME),
     ),
     "ros2": Role(
         "skin ros2: gives ROS 2 the touches, and has a service there that measures the zero",

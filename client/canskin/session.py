@@ -115,7 +115,14 @@ def is_open(endpoint: str) -> bool:
     return protocol in PROTOCOLS_WITHOUT_KEYS and not is_loopback(address.rpartition(":")[0].strip("[]"))
 
 
-def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | None = None, service: str = HUB) -> Any:
+def open_hub(
+    endpoint: str,
+    keys: Keys | None = None,
+    rules: dict[str, Any] | None = None,
+    service: str = HUB,
+    *,
+    joins: str | None = None,
+) -> Any:
     """Open the session of the hub; log who may connect without keys, beside this user.
 
     Parameters
@@ -126,13 +133,17 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
         Zenoh's ``access_control``: who may do what.
     service : str
         Name in the log.
+    joins : str, optional
+        Endpoint of another hub: each passes the messages of the other, also after one of them has started again.
 
     Raises
     ------
     BusError
-        If the endpoint cannot be used.
+        If an endpoint cannot be used.
     """
     endpoint, keys = checked(endpoint, keys)
+    if joins is not None:
+        joins = checked(joins, keys)[0]
     if keys is not None and keys.role != HUB:
         raise BusError(
             f"cannot listen on {endpoint} with keys of '{keys.common_name}': expected those of role '{HUB}', or"
@@ -145,7 +156,7 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
     is_ours = os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME) == _RUNTIME
     mask = os.umask(0o077) if protocol == UNIX else None  # of the socket, which zenoh makes
     try:
-        session = zenoh.open(_config(endpoint, keys, hub=True, rules=rules))
+        session = zenoh.open(_config(endpoint, keys, hub=True, rules=rules, joins=joins))
     except zenoh.ZError as error:
         # Zenoh locks a file beside a socket.
         why = "another hub listens there" if "EAGAIN" in str(error) else first_sentence(error)
@@ -274,6 +285,7 @@ def _config(
     hub: bool = False,
     patience_s: float = 0.0,
     rules: dict[str, Any] | None = None,
+    joins: str | None = None,
 ) -> Any:
     """Build a zenoh configuration that uses `endpoint` only."""
     config = zenoh.Config()
@@ -289,6 +301,8 @@ def _config(
         "connect/retry": RETRY,
         "transport/link/rx/max_message_size": MESSAGE_MAX,
     }
+    if joins is not None:
+        settings |= {"connect/endpoints": [joins], "connect/timeout_ms": -1, "connect/exit_on_failure": False}
     if keys is not None:
         settings |= keys.settings(is_hub=hub)
     if rules is not None:

@@ -12,7 +12,7 @@ from canskin.errors import RunError
 from canskin.messages import MEASUREMENT, Image, Measurement
 from demo.folder import run_folder
 from demo.options import DemoOptions
-from demo.run import Run
+from demo.run import Run, execute
 from demo.score import Score
 from shell.service import StopSignal
 from skin.layout import load_layout
@@ -95,12 +95,12 @@ def run(rounds: int) -> dict[str, Any]:
 
 def _timed(layout: Path | None) -> _Timed:
     """Run the chain of a layout once."""
-    options = DemoOptions(layout=layout, seconds=RUN_S, port=0)
+    options = DemoOptions(layout=[layout] if layout else [], seconds=RUN_S, port=0)
     skin = load_layout(layout)
     with run_folder() as folder:
         chain = Run(skin, options, folder)
         chain.score = _Timed(skin)
-        chain.execute(StopSignal())
+        execute([chain], options, folder, StopSignal())
     if not isinstance(chain.score, _Timed) or not chain.score.steps:
         raise RunError(f"no image came in {RUN_S:g} s of the {layout or 'default'} skin")
     return chain.score

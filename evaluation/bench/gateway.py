@@ -1,19 +1,22 @@
 """``skin bench gateway``: frames per second of one core, from the socket to a complete measurement, against peers.
 
 Each bus is a pair of datagram sockets that carries ``struct can_frame``, as a socket of CAN does, with the kernel's
-time stamps. Each peer reads them with the code that it reads a SocketCAN interface with, and works in its ordinary way:
-a thread per bus. The peers gather sums and nothing else; ours also judges every frame and counts the load.
+time stamps. Each side waits in threads of its own, as in a running skin: ours in the turns of the gateway's service,
+the peers in a thread per bus, with the code that they read a SocketCAN interface with. All threads share one processor,
+whose caches are cold at each wake-up: on a live gateway other programs run between two. The time is that of the threads
+from the system call that they wait in. The peers gather sums and nothing else; ours also judges every frame, counts the
+load and looks after the nodes.
 """
 
 import io
+import os
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
-from select import select
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 import can
 import canopen
@@ -22,41 +25,50 @@ import numpy.typing as npt
 from can.interfaces.socketcan import SocketcanBus
 from canopen.objectdictionary.eds import import_eds
 
-from bus.interface import FD_BYTES
-from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket
-from bus.socketcan import BATCH_FRAMES, RECEIVE_BUFFER_BYTES, SocketCanLink, encode
+from bus.datagrams import SO_RXQ_OVFL, SO_TIMESTAMPNS
+from bus.socketcan import RECEIVE_BUFFER_BYTES, SocketCanLink
 from canskin.errors import RunError
+from canskin.fabric import Fabric
+from canskin.messages import Measurement
 from dbc import codec
-from dbc.canopen import SYNC_COB_ID
+from dbc.canopen import NmtState
 from dbc.contract import Contract
 from dbc.eds import dcfs, node_types
-from dbc.frame import ECHO, Frames
+from dbc.frame import Frames
 from dbc.packing import COUNTER_BYTES
 from evaluation.result import Row
 from gateway.gathering import Sync
-from gateway.loop import GatewayLoop
+from gateway.node_machine import NodeState
+from gateway.service import GatewayService
 from skin.layout import load_layout
+from skin.layout_keys import changed
 from skin.sync_counter import next_counter
 
-#: Frames that wait on each bus when the reader wakes.
+#: Frames that wait on each bus when the reader wakes: the last are all sums of the bus.
 WAKE_UPS: Final = (1, 8, 64)
 #: Cycles of a round; before the first round, as many run and do not count.
 CYCLES: Final = 5
-#: Longest wait for the threads of a peer to take what was sent.
+#: Read between two wake-ups, so that the caches of the processor have nothing of the methods.
+_COLD_BYTES: Final = 8 << 20
+#: Longest wait for the threads to take what was sent.
 _PATIENCE_S: Final = 10.0
 #: Pause between two looks at whether they have.
 _LOOK_S: Final = 2e-4
+#: Longest wait of our thread for frames.
+_IDLE_NS: Final = 200_000_000
 Integers = npt.NDArray[np.int64]
 
 
 class _Method(Protocol):
     """One way to make measurements of what the sockets carry."""
 
-    def begin(self) -> None:
-        """Begin a cycle, before its SYNC is sent."""
+    def begin(self, counter: int) -> None:
+        """Begin the cycle of a SYNC."""
 
-    def wake(self, sent: int) -> None:
-        """Take what waits; `sent` frames have been sent since the cycle began."""
+    @property
+    def taken(self) -> int:
+        """Number of frames that were taken since the cycle began."""
+        ...
 
     def end(self) -> Integers:
         """Return the sums of the cycle."""
@@ -70,8 +82,13 @@ class _Method(Protocol):
 
 def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […]}``: frames per second of one core for each number of frames a wake-up, and our ratio."""
-    contract = Contract.from_layout(load_layout())
-    return {"rows": [_row(contract, frames, rounds) for frames in WAKE_UPS]}
+    contract = Contract.from_layout(changed(load_layout(), sync={"turns": 1}))
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(allowed)})
+    try:
+        return {"rows": [_row(contract, frames, rounds) for frames in WAKE_UPS]}
+    finally:
+        os.sched_setaffinity(0, allowed)
 
 
 def _row(contract: Contract, frames: int, rounds: int) -> Row:
@@ -91,123 +108,147 @@ def _used_us(
 ) -> float:
     """Return the processor time of a frame in microseconds: the median of the rounds."""
     buses, random = range(len(contract.layout.bus)), np.random.default_rng(1)
-    low, high = contract.packing.raw_range
+    cold = np.ones(_COLD_BYTES // 8)
     with ExitStack() as opened:
         pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in buses]
-        for each in (one for pair in pairs for one in pair):
-            opened.enter_context(each)
+        senders = [_DatagramLink(far) for _, far in pairs]
+        for sender, (near, _) in zip(senders, pairs, strict=True):
+            opened.callback(sender.close)
+            opened.enter_context(near)
         method = opened.enter_context(make(contract, [near for near, _ in pairs]))
-        senders = [_sender(far) for _, far in pairs]
-        counter, taken_us, sums = 0, [], np.zeros(contract.phi.shape[0], np.int32)
-        for number in range(rounds + 1):
+        counter, taken_us = 0, []
+        for _ in range(rounds + 1):
             since_s, count = method.used_s, 0
             for _ in range(CYCLES):
-                method.begin()
                 counter = next_counter(counter)
-                came = contract.sums_of_turn[contract.turn_of(counter)]
-                sums[came] = contract.packing.counts(random.integers(low, high + 1, came.size, np.int32))
-                wires = [_wire(contract, bus, counter, sums) for bus in buses]
-                count += sum(len(lengths) for _, lengths in wires)
-                for begin in range(0, max(len(lengths) for _, lengths in wires), frames):
-                    for sender, (rows, lengths) in zip(senders, wires, strict=True):
-                        sender.send(rows[begin : begin + frames], lengths[begin : begin + frames])
-                    method.wake(begin + frames)
-                # A block counts once all its sums have come.
-                if not np.array_equal(method.end(), sums) and number:
+                sums = contract.packing.counts(_some(contract, random))
+                cycles = [_frames(contract, bus, counter, sums) for bus in buses]
+                method.begin(counter)
+                sent = 0
+                for begin in range(0, max(map(len, cycles)), frames):
+                    cold.sum()
+                    for sender, cycle in zip(senders, cycles, strict=True):
+                        sent += sender.send(cycle[begin : begin + frames])
+                    _await(method, sent)
+                count += sent
+                if not np.array_equal(method.end(), sums):
                     raise RunError("expected the sums that were sent, got others")
             taken_us.append(1e6 * (method.used_s - since_s) / count)
     return float(np.median(taken_us[1:]))
 
 
-def _wire(
-    contract: Contract, bus: int, counter: int, sums: npt.NDArray[np.int32]
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
-    """Return the datagrams of one cycle on a bus, and their lengths."""
-    table, cycle = contract.table, contract.cycle(bus, contract.turn_of(counter))
-    row = table.row_of[bus, cycle["can_id"][1:]]
-    cycle["data"][0, 0] = counter
-    cycle["data"][1:, : table.length[0]] = codec.encode(counter, sums, table.gather[row], contract.packing)
-    return encode(cycle)
+def _some(contract: Contract, random: np.random.Generator) -> npt.NDArray[np.int32]:
+    low, high = contract.packing.raw_range
+    return random.integers(low, high + 1, contract.phi.shape[0], np.int32)
 
 
-def _sender(far: socket.socket) -> BatchSocket:
-    far.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, RECEIVE_BUFFER_BYTES)
-    return BatchSocket(far, BATCH_FRAMES, FD_BYTES)
+def _await(method: _Method, sent: int) -> None:
+    """Wait until all frames that were sent have been taken, and the threads wait for more."""
+    ends_s = time.monotonic() + _PATIENCE_S
+    while method.taken < sent:
+        if time.monotonic() > ends_s:
+            raise RunError(f"expected {sent} frames, got {method.taken} in {_PATIENCE_S:g} s")
+        time.sleep(_LOOK_S)
+    time.sleep(_LOOK_S)
+
+
+def _frames(contract: Contract, bus: int, counter: int, sums: npt.NDArray[np.int32]) -> Frames:
+    """Return the frames with sums of one cycle on a bus."""
+    cycle = contract.cycle(bus, contract.turn_of(counter))[1:]
+    table = contract.table
+    row = table.row_of[bus, cycle["can_id"]]
+    cycle["data"][:, : table.length[0]] = codec.encode(counter, sums, table.gather[row], contract.packing)
+    return cycle
 
 
 class _DatagramLink(SocketCanLink):
-    """Our SocketCAN link on a datagram socket; the kernel marks no echo there, so SYNC is marked here.
-
-    Attributes
-    ----------
-    cycle_ns : int
-        When the frames came, in place of the kernel's time: a cycle lasts as long as its wake-ups take.
-    """
-
-    cycle_ns = 0
+    """Our SocketCAN link on a datagram socket, where no SYNC comes back."""
 
     def __init__(self, near: socket.socket) -> None:
         self._near = near
         super().__init__("bench")
 
     def _open(self) -> socket.socket:
-        self._near.setblocking(False)
+        self._near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, RECEIVE_BUFFER_BYTES)
         for option in (SO_TIMESTAMPNS, SO_RXQ_OVFL):
             self._near.setsockopt(socket.SOL_SOCKET, option, 1)
         return self._near
 
-    def receive(self) -> Frames:
-        """Return all waiting frames, SYNC as echo."""
-        arrived = super().receive()
-        arrived["flags"][arrived["can_id"] == SYNC_COB_ID] = ECHO
-        arrived["time_ns"] = self.cycle_ns
-        return arrived
+
+class _Service(GatewayService):
+    """The gateway's service, which does not rest while frames come; nodes are proven, and this module makes SYNC."""
+
+    def waits_ns(self) -> tuple[int, int]:
+        """Return the longest wait for frames, without a rest."""
+        return 0, _IDLE_NS
 
 
-class _Ours:
-    """The gateway's loop; nodes are proven, and its commands go nowhere."""
+class _Threads:
+    """The threads that are started by a context, and their processor time."""
+
+    def __enter__(self) -> None:
+        self._before = set(threading.enumerate())
+
+    def __exit__(self, *_: object) -> None:
+        started = set(threading.enumerate()) - self._before
+        self._clocks = [time.pthread_getcpuclockid(each.ident) for each in started if each.ident is not None]
+
+    @property
+    def used_s(self) -> float:
+        return sum(map(time.clock_gettime, self._clocks))
+
+
+class _Ours(_Threads):
+    """A gateway's service in a thread; it is the fabric of this service, too."""
 
     def __init__(self, contract: Contract, links: Sequence[_DatagramLink]) -> None:
-        self._links = dict(enumerate(links))
-        self._now_s, self._period_s, self._turns = 1.0, contract.layout.sync.period_s, contract.turns
-        self._loop = GatewayLoop(
-            contract, dict.fromkeys(self._links, len), self._now_s, say=lambda _: None, complain=lambda _: None
-        )
+        self._now_s, self._number, self._before_cycle, self._begun_s = time.monotonic(), 0, 0, 0.0
+        self._made: list[Measurement] = []
+        self._is_made, self._stop = threading.Event(), threading.Event()
+        self._service = _Service(contract, dict(enumerate(links)), cast("Fabric", self), clock=lambda: self._now_s)
+        self._loop = self._service.loop
         for node in contract.nodes:
             self._loop.gathering.trust(node, proven=True)
-        self._made: list[Any] = []
-        self._number, self._counter = 0, 0
-        self.used_s = 0.0
+            known = self._loop.masters[node.bus].nodes[node.node_id]
+            known.state, known.nmt, known.proven_s = NodeState.IN_USE, NmtState.OPERATIONAL, np.inf
+            known.heard_s = known.prove_at_s = np.inf
+        self.thread = threading.Thread(target=self._run)
 
-    def begin(self) -> None:
+    def publish(self, _topic: object, message: Any) -> None:
+        if isinstance(message, Measurement):
+            self._made.append(message)
+            self._is_made.set()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self._service.turn()
+
+    def stop(self) -> None:
+        self._stop.set()
+        self.thread.join()
+
+    @property
+    def used_s(self) -> float:
+        return super().used_s + self._begun_s
+
+    def begin(self, counter: int) -> None:
         started_s = time.thread_time()
-        self._now_s += self._period_s
+        self._now_s, self._number = time.monotonic(), self._number + 1
         now_ns = round(1e9 * self._now_s)
-        for link in self._links.values():
-            link.cycle_ns = now_ns
-        self._number, self._counter = self._number + 1, next_counter(self._counter)
-        self._made = self._loop.gathering.begin(Sync(self._number, self._counter, now_ns, now_ns, 0))
-        self.used_s += time.thread_time() - started_s
+        self._before_cycle, self._loop.sync.counter = self._loop.gathering.counts.accepted, counter
+        self._made += self._loop.gathering.begin(Sync(self._number, counter, now_ns, now_ns, 0))
+        self._begun_s += time.thread_time() - started_s
 
-    def wake(self, _sent: int) -> None:
-        started_s = time.thread_time()
-        ready = select(list(self._links.values()), [], [], 0.0)[0]
-        for number, link in self._links.items():
-            if link in ready:
-                self._loop.take(
-                    number,
-                    link.receive(),
-                    self._now_s,
-                    state=link.state,
-                    dropped=link.dropped,
-                    stamp_error_ns=link.stamp_error_ns,
-                )
-        self._made += self._loop.measurements(self._now_s)
-        self.used_s += time.thread_time() - started_s
+    @property
+    def taken(self) -> int:
+        return self._loop.gathering.counts.accepted - self._before_cycle
 
     def end(self) -> Integers:
+        self._is_made.wait(_PATIENCE_S)
         (made,) = self._made
-        if self._number >= self._turns and not all(made.valid):
+        self._made.clear()
+        self._is_made.clear()
+        if not all(made.valid):
             raise RunError("expected a complete measurement, got blocks that are not valid")
         return np.frombuffer(made.sums, "<i4").astype(np.int64)
 
@@ -218,52 +259,37 @@ def _ours(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Method]
         links = [_DatagramLink(near) for near in sockets]
         for link in links:
             opened.callback(link.close)
-        yield _Ours(contract, links)
+        ours = _Ours(contract, links)
+        opened.callback(ours.stop)
+        with ours:
+            ours.thread.start()
+        yield ours
 
 
-class _Threads:
+class _Peer(_Threads):
     """Sums that the threads of a peer gather: `take` is called with the first sum of a frame and its sums."""
 
     def __init__(self, contract: Contract) -> None:
         self._packing = contract.packing
         self._sums = [0] * contract.phi.shape[0]
-        self._expected = len(contract.table.bus) // contract.turns
-        self._buses = len(contract.layout.bus)
-        self._came = 0
+        self._expected = len(contract.table.bus)
+        self.taken = 0
         self._lock = threading.Lock()
-        #: Clocks of the threads that have called.
-        self._clocks: dict[int, int] = {}
         self._result = np.zeros(len(self._sums), np.int64)
         self._is_whole = threading.Event()
-
-    @property
-    def used_s(self) -> float:
-        return sum(map(time.clock_gettime, list(self._clocks.values())))
-
-    def note_thread(self) -> None:
-        """Count the processor time of this thread."""
-        thread = threading.get_ident()
-        self._clocks[thread] = time.pthread_getcpuclockid(thread)
 
     def take(self, first: int, sums: tuple[int, ...]) -> None:
         self._sums[first : first + len(sums)] = sums
         with self._lock:
-            self._came += 1
-            is_whole = self._came == self._expected
+            self.taken += 1
+            is_whole = self.taken == self._expected
         if is_whole:
             self._result = self._packing.counts(np.array(self._sums, np.int32)).astype(np.int64)
             self._is_whole.set()
 
-    def begin(self) -> None:
-        self._came = 0
+    def begin(self, _counter: int) -> None:
+        self.taken = 0
         self._is_whole.clear()
-
-    def wake(self, sent: int) -> None:
-        expected, ends_s = min(self._buses * (sent - 1), self._expected), time.monotonic() + _PATIENCE_S
-        while self._came < expected:
-            if time.monotonic() > ends_s:
-                raise RunError(f"expected {expected} frames, got {self._came} in {_PATIENCE_S:g} s")
-            time.sleep(_LOOK_S)
 
     def end(self) -> Integers:
         self._is_whole.wait(_PATIENCE_S)
@@ -299,22 +325,19 @@ class _DatagramBus(SocketcanBus):
 @contextmanager
 def _python_can(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Method]:
     """Gather sums in a listener of a Notifier."""
-    threads, notifiers = _Threads(contract), []
+    peer, notifiers = _Peer(contract), []
     unpacked = _unpacking(contract)
 
     def listen(first_of: dict[int, int], message: can.Message) -> None:
-        first = first_of.get(message.arbitration_id)
-        if first is None:
-            threads.note_thread()  # SYNC
-        else:
-            threads.take(first, unpacked(bytes(message.data)))
+        peer.take(first_of[message.arbitration_id], unpacked(bytes(message.data)))
 
     buses = [_DatagramBus(near, number) for number, near in enumerate(sockets)]
     try:
-        for number, bus in enumerate(buses):
-            first_of = {tpdo.cob_id: tpdo.first_sum for node in contract.on_bus(number) for tpdo in node.tpdos}
-            notifiers.append(can.Notifier(bus, [partial(listen, first_of)], timeout=0.1))
-        yield threads
+        with peer:
+            for number, bus in enumerate(buses):
+                first_of = {tpdo.cob_id: tpdo.first_sum for node in contract.on_bus(number) for tpdo in node.tpdos}
+                notifiers.append(can.Notifier(bus, [partial(listen, first_of)], timeout=0.1))
+        yield peer
     finally:
         for notifier in notifiers:
             notifier.stop()
@@ -328,17 +351,16 @@ def _canopen(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Meth
 
     The library reads a variable of up to 16 bits from two bytes, and a sum may lie in three: sums are unpacked here.
     """
-    threads, networks = _Threads(contract), []
+    peer, networks = _Peer(contract), []
     unpacked = _unpacking(contract)
     files = {node: text for kind in node_types(contract) for node, text in dcfs(contract, kind)}
 
     def take(first: int, pdo: Any) -> None:
-        threads.take(first, unpacked(bytes(pdo.data)))
+        peer.take(first, unpacked(bytes(pdo.data)))
 
     for number, near in enumerate(sockets):
         network = canopen.Network(_DatagramBus(near, number))
         network.NOTIFIER_CYCLE = 0.1
-        network.subscribe(SYNC_COB_ID, lambda *_: threads.note_thread())
         for node in contract.on_bus(number):
             remote = network.add_node(
                 canopen.RemoteNode(node.node_id, import_eds(io.StringIO(files[node]), node.node_id))
@@ -349,9 +371,10 @@ def _canopen(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Meth
                 pdo.add_callback(partial(take, tpdo.first_sum))
         networks.append(network)
     try:
-        for network in networks:
-            network.connect()
-        yield threads
+        with peer:
+            for network in networks:
+                network.connect()
+        yield peer
     finally:
         for network in networks:
             network.disconnect()

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from bus import reconnecting, socketcan
+from bus.intake import new_intake
 from bus.interface import Timing, Wanted
 from bus.link import State
-from bus.recvmmsg import Received
 from bus.socketcan import SocketCanLink
+from bus.told import CAME, DEVICE_ERROR, NEEDS_LOOK, STAMP_ERROR
 from canskin.errors import BusError, InputError
-from dbc.frame import ECHO, ERROR, FD
+from dbc.frame import ECHO, ERROR, FD, frame_bytes
 from tests.bus.harness import burst, frame, interface
 
 # Numbers of the kernel, from its headers.
 AF_CAN, SOCK_RAW, CAN_RAW, SOL_CAN_RAW = 29, 3, 1, 101
 CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 2, 4, 5
-MSG_CONFIRM = 0x800
 SO_RCVBUF, SO_RCVBUFFORCE, SO_TIMESTAMPNS, SO_TIMESTAMPING, SO_RXQ_OVFL = 8, 33, 35, 37, 40
 SOF_TIMESTAMPING_RX_HARDWARE, SOF_TIMESTAMPING_RAW_HARDWARE = 1 << 2, 1 << 6
 
@@ -115,25 +115,24 @@ def test_fd_is_asked_for(kernel: Kernel) -> None:
     made.close()
 
 
-def test_echoes_of_sync_have_the_times_of_the_device(link: SocketCanLink, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_echoes_of_sync_have_the_times_of_the_device(link: SocketCanLink) -> None:
     """The kernel's stamps are 10 us late, those of some frames 3 ms more."""
-    offset_ns = time.time_ns() - time.monotonic_ns()
-    first_ns = time.monotonic_ns()
-    rows, lengths = socketcan.encode(np.concatenate([frame(0x80), frame(0x181)]))
-    confirmed = np.array([MSG_CONFIRM, 0], np.int32)
+    told, first_ns = new_intake(1).told[0], time.monotonic_ns()
+    link.tell(told)
     late_ns = []
     for number in range(500):
         end_ns = first_ns + number * 10_000_000
-        stamp_ns = end_ns + offset_ns + 10_000 + 3_000_000 * (number % 7 == 0)
-        stamps, device = np.full(2, stamp_ns), np.full(2, 1_000 + number * 10_000_000)
-        batch = Received(rows, lengths.astype(np.uint32), confirmed, stamps, device, None)
-        monkeypatch.setattr(link, "_receive_batch", lambda batch=batch: batch)
-        sync, other = link.receive()
+        rows = np.concatenate([frame(0x80, flags=ECHO), frame(0x181)])
+        rows["time_ns"] = end_ns + 10_000 + 3_000_000 * (number % 7 == 0)
+        rows["expires_ns"][0] = 1_000 + number * 10_000_000
+        told[CAME], told[NEEDS_LOOK], told[STAMP_ERROR] = 2, True, 5 + told[DEVICE_ERROR]
+        sync, other = link.arrived(frame_bytes(rows))
+        assert sync["expires_ns"] == 0
         late_ns.append((int(sync["time_ns"]) - end_ns, int(other["time_ns"]) - end_ns))
     by_device, by_kernel = np.array(late_ns)[-100:].T
-    assert np.abs(by_device - 10_000).max() < 100_000  # this machine may have slewed its wall clock meanwhile
+    assert np.abs(by_device - 10_000).max() < 100
     assert np.ptp(by_kernel) > 2_900_000
-    assert link.stamp_error_ns is not None
+    assert link.stamp_error_ns == 5 + told[DEVICE_ERROR]
 
 
 def test_without_stamps_the_time_is_that_of_reading(kernel: Kernel, link: SocketCanLink) -> None:

@@ -186,8 +186,8 @@ def test_arrays_are_read_only(builder: FrameBuilder) -> None:
 
 
 def test_age_is_of_the_monotonic_clock_on_the_same_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("canskin.frame.boot_id", lambda: "this boot")
-    monkeypatch.setattr("canskin.frame.time.monotonic_ns", lambda: 1_010_000_000)
+    monkeypatch.setattr("canskin.skin_clock.machine", lambda: "this boot")
+    monkeypatch.setattr("canskin.skin_clock.time.monotonic_ns", lambda: 1_010_000_000)
     monkeypatch.setattr("canskin.frame.time.time", lambda: 9.01)
     ages = []
     for boot in ("this boot", "another boot", ""):

@@ -14,12 +14,12 @@ import pytest
 from canskin.errors import RunError
 from demo.folder import PREFIX
 from demo.options import DemoOptions
-from demo.run import Run
+from demo.run import Run, execute
 from demo.score import CycleImages, Score
 from demo.supervisor import Supervisor
 from shell.service import StopSignal
 from skin.layout import load_layout
-from tests.processes import Processes
+from tests.processes import Processes, Verb
 
 LAYOUT = load_layout()
 
@@ -105,8 +105,29 @@ def test_a_run_has_the_classifier_that_is_asked_for(
     monkeypatch.setattr("demo.run.READY_PATIENCE_S", 0.0)
     awaited = "nodes, reconstructor" if known is None else "classifier, nodes, reconstructor"
     with pytest.raises(RunError, match=f"^{awaited} did not become ready"):
-        Run(LAYOUT, options, tmp_path).execute(StopSignal())
+        execute([Run(LAYOUT, options, tmp_path)], options, tmp_path, StopSignal())
     assert list(started.get("classifier", ())[-2:]) == (known or [])
+
+
+def test_of_several_skins_the_page_is_of_all_and_waits_for_their_gateways(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: dict[str, tuple[str, ...]] = {}
+    monkeypatch.setattr(Supervisor, "start", lambda _self, name, *given, **_: started.update({name: given}))
+    both = DemoOptions(layout=[Path("default"), Path("fd")], port=0, picture=Path("run.png"))
+    first, second = both.of_skin(0, "skin"), both.of_skin(1, "fd")
+    assert (first.layout, first.view, first.picture) == ([Path("default")], True, Path("run-skin.png"))
+    assert (second.layout, second.view, second.picture) == ([Path("fd")], False, Path("run-fd.png"))
+    run = Run(LAYOUT, first, tmp_path / "skin", is_alone=False)
+    run._start_services("tcp/HUB:1")
+    assert started["viewer"][:4] == ("view", "--connect", "tcp/HUB:1", "--port")
+    assert "viewer" not in run._missing()
+    assert run._addresses("tcp/HUB:1")[1] == "to watch: skin monitor --connect tcp/HUB:1 --skin skin"
+
+
+def test_two_skins_of_one_name_are_refused(skin: Verb) -> None:
+    code, _, told = skin("demo", "--layout", "fd", "--layout", "fd")
+    assert (code, told) == (2, "skin: --layout: expected skins of different names, got 'skin' 2 times\n")
 
 
 @pytest.mark.heavy

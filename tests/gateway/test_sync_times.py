@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from bus.told import NO_STAMPS
 from canskin.messages import UNKNOWN_ERROR_NS
 from dbc.contract import Contract
 from gateway.open_cycles import slot_of
-from gateway.sync_times import NO_STAMPS, SampledTimes, SyncTimes, note_answer, note_echo
+from gateway.sync_times import SampledTimes, SyncTimes, note_answer, note_echo
 
 SENT_NS = 1_000_000_000
 #: A SYNC of one byte without stuff bits at 1 Mbit/s: 52 bits, to the last bit of end of frame.

@@ -14,16 +14,17 @@ from hypothesis import strategies as st
 from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.keys import Keys
-from canskin.messages import LABEL
+from canskin.messages import GATEWAY, LABEL
 from canskin.session import open_client
+from canskin.skin_clock import TIME, TimeRequest, machine, time_reply
 from hub.denials import MOST_LINES, PERIOD_S, Denials
 from hub.hub_command import hub
 from tests.hub.keys import make_authority
-from tests.messages import label
+from tests.messages import gateway_status, label
 from tests.processes import PATIENCE_S, Processes, free_port
 
 #: A gateway that sends labels, one each 10 ms.
-GATEWAY = """
+LABELLER = """
 import sys, time
 from canskin.fabric import Fabric
 from canskin.messages import LABEL
@@ -51,7 +52,7 @@ def test_a_gateway_that_is_killed_is_a_gap_for_nobody_else(tmp_path: Path, endpo
             started.until(is_heard, f"a label of {skin}")
 
         started.skin("hub", "hub", "--listen", endpoint)
-        started.start("palm", sys.executable, "-c", GATEWAY, endpoint)
+        started.start("palm", sys.executable, "-c", LABELLER, endpoint)
         came, left = {skin: threading.Event() for skin in ("palm", "hand")}, threading.Event()
         palm, hand, gateway = join("palm"), join("hand"), join("hand", "gateway")
         palm.subscribe(LABEL, lambda _: came["palm"].set())
@@ -66,6 +67,42 @@ def test_a_gateway_that_is_killed_is_a_gap_for_nobody_else(tmp_path: Path, endpo
         hears("palm", join("palm", "gateway"))
         assert not hand.missed.counts()
         assert started.stop("hub") == 0
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_two_hubs_that_are_joined_have_the_skins_of_both(tmp_path: Path, protocol: str) -> None:
+    first, second = (f"{protocol}/127.0.0.1:{free_port()}" for _ in range(2))
+    options, keys = [], dict[str, Keys]()
+    if protocol == "tls":
+        roles = ("gateway", "client")
+        make_authority(tmp_path / "keys", *roles)
+        options = ["--keys", str(tmp_path / "keys" / "hub")]
+        keys = {role: Keys(tmp_path / "keys" / role) for role in roles}
+    came = threading.Event()
+    with Processes(tmp_path) as started, ExitStack() as stack:
+
+        def join(service: str, endpoint: str) -> Fabric:
+            return stack.enter_context(
+                closing(Fabric("palm", service, endpoint, keys=keys.get(service), patience_s=PATIENCE_S))
+            )
+
+        def is_heard() -> bool:
+            gateway.publish(GATEWAY, gateway_status())
+            return came.is_set()
+
+        started.skin("second", "hub", "--listen", second, "--join", first, *options)  # waits for the first
+        started.skin("first", "hub", "--listen", first, *options)
+        gateway, client = join("gateway", first), join("client", second)
+        client.subscribe(GATEWAY, lambda _: came.set())
+        gateway.answer(TIME, lambda _, reply: reply(time_reply()))
+        started.until(is_heard, "a message through both hubs")
+        assert client.ask(TIME, TimeRequest(), PATIENCE_S).machine == machine()
+        started.until(lambda: {"client", "gateway"} <= {each.service for each in client.peers()}, "tokens of both")
+        started.stop("first", signal.SIGKILL)
+        started.skin("first again", "hub", "--listen", first, *options)
+        came.clear()
+        started.until(is_heard, "a message after the first hub has started again")
 
 
 @pytest.mark.heavy

@@ -4,9 +4,11 @@ import contextlib
 import json
 import os
 import re
+import signal
 import socket
 import struct
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -28,6 +30,9 @@ FLASH_BYTES, BOARD_BYTES, SECTOR_BYTES = 1 << 26, 1 << 21, 1 << 18
 SWITCHES, SWITCHES_STEP = 0x43000000, 0x100
 #: The instruction of Thumb code.
 BRANCH_TO_ITSELF: Final = 0xE7FE
+#: QEMU may wait for ever for something that it has: a processor that writes to the flash memory may take the note that
+#: was meant to wake the main loop. A signal wakes the main loop, which does nothing else with it.
+WAKING_S: Final = 0.01
 _ERASED: Final = b"\xff"
 
 
@@ -63,7 +68,8 @@ class Machine:
         self._flash, self._log = folder / "flash.img", folder / "boards.log"
         self._process: subprocess.Popen[bytes] | None = None
         self._held = -1
-        self._starts = 0
+        self._ended = threading.Event()
+        self._waking = threading.Thread()
         with self._flash.open("wb") as file:
             file.truncate(FLASH_BYTES)
             for cpu in range(1, BOARDS + 1):
@@ -104,11 +110,16 @@ class Machine:
         self.terminal = found[0]
         # QEMU looks once a second whether a terminal that was closed is open again: hold it open.
         self._held = os.open(self.terminal, os.O_RDWR | os.O_NOCTTY)
-        self.until(lambda: self.said.count("board up") >= BOARDS, "all boards to start")
+        self._ended.clear()
+        self._waking = threading.Thread(target=self._wake, args=(self._process,))
+        self._waking.start()
+        self.until(lambda: self.said.count("\n") >= BOARDS, "all boards to start")
 
     def cut_power(self) -> None:
         """End the machine at once."""
         if self._process is not None:
+            self._ended.set()
+            self._waking.join()
             os.close(self._held)
             self._process.kill()
             self._process.communicate()
@@ -163,7 +174,8 @@ class Machine:
         """Arguments of the verbs of ``skin node``."""
         layout = self.images.contract.layout
         path = self.images.folder / "layout.toml"
-        return "--bus", layout.bus[0].name, "-i", "slcan", "-c", self.terminal, "--layout", path
+        adapter = ("-i", "slcan", "-c", self.terminal, "--bus-option", "sleep_after_open=0.0")
+        return "--bus", layout.bus[0].name, *adapter, "--layout", path
 
     def peek(self, address: int, count: int) -> bytes:
         """Return bytes of the memory of the boards."""
@@ -183,6 +195,10 @@ class Machine:
                         answer = json.loads(talk.readline())
                         assert "error" not in answer, answer
         return path.read_bytes()
+
+    def _wake(self, process: subprocess.Popen[bytes]) -> None:
+        while not self._ended.wait(WAKING_S):
+            process.send_signal(signal.SIGALRM)
 
     def _command(self) -> Sequence[str | Path]:
         control = "ctucan_pci,canbus0=bus,canbus1=none"

@@ -4,6 +4,8 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -40,9 +42,10 @@ from recording.mcap_file import (
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
-from shell.skin_options import SkinOptions
+from shell.skin_options import SkinOptions, join
 from skin.layout import parse_layout
 from tests import messages as make
+from tests.client.helpers import await_peers
 from tests.layouts import buses, small_contract
 from tests.processes import free_endpoint
 from tests.recording.helpers import OFFSET_NS, FakeLink, messages_of
@@ -391,15 +394,57 @@ def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
 ) -> None:
     """A thread inside zenoh at the end of the interpreter aborts the process."""
     monkeypatch.setattr(record_command, "open_links", lambda *_, **__: links)
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     before = set(threading.enumerate())
+    with handlers_kept(), pytest.raises(RunError, match="nothing came"):
+        record_command.record(out, of=SkinOptions(layout=layout_file, connect=free_endpoint()), seconds=0.01)
+    assert set(threading.enumerate()) <= before
+
+
+@contextmanager
+def handlers_kept() -> Iterator[None]:
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with pytest.raises(RunError, match="nothing came"):
-            record_command.record(out, of=SkinOptions(layout=layout_file, connect=free_endpoint()), seconds=0.01)
+        yield
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    assert set(threading.enumerate()) <= before
+
+
+def test_a_recording_follows_a_gateway_that_starts_again_and_ends_where_its_layout_is_another(
+    contract: Contract,
+    links: dict[int, FakeLink],
+    bus_frames: dict[int, Frames],
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(record_command, "open_links", lambda *_, **__: links)
+    layout, endpoint = contract.layout, free_endpoint()
+    slower = msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=50.0))
+    hub, gateway = Fabric(layout.name, "hub", endpoint, hub=True), join(layout, "gateway", endpoint)
+
+    def start_again() -> None:
+        await_peers(hub, f"{layout.name}/recorder")
+        gateway.close()
+        brought(links, bus_frames)
+        again = join(layout, "gateway", endpoint)
+        await_peers(hub, f"{layout.name}/gateway")
+        again.close()
+        gateways.append(join(slower, "gateway", endpoint))
+
+    gateways: list[Fabric] = []
+    starting = threading.Thread(target=start_again)
+    starting.start()
+    with handlers_kept(), pytest.raises(RunError, match=r"another layout now: `\$.sync.rate_hz` is 100.0, there 50.0"):
+        record_command.record(out, of=SkinOptions(connect=endpoint))
+    starting.join()
+    for fabric in (*gateways, hub):
+        fabric.close()
+    logged = read_log(out, pytest.fail)
+    assert sum(map(len, logged.values())) == sum(map(len, bus_frames.values()))
+    events = [
+        msgspec.json.decode(entry.data)["text"] for entry in read_entries(out, pytest.fail) if entry.topic == EVENTS
+    ]
+    assert any("another layout" in each for each in events)
 
 
 def test_a_message_that_no_reader_would_take_is_lost_and_the_file_stays_readable(

@@ -1,5 +1,6 @@
 """``skin demo`` as a user runs it, and every wrong input with one clear line."""
 
+import json
 import os
 import socket
 from pathlib import Path
@@ -45,21 +46,28 @@ def test_golf_ball(slow_layout: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_recording(tmp_path: Path) -> None:
-    """A recording in counts, without classifier, on a larger skin whose taxels do not fill the blocks."""
+    """A recording in counts, without classifier, on two larger skins whose taxels do not fill the blocks."""
     rows, columns = np.mgrid[0:17, 0:12]
     frames = [3000 * np.exp(-((rows - 8) ** 2 + (columns - 3 - step) ** 2) / 20) for step in range(6)]
     np.savez(tmp_path / "mat.npz", standing=np.zeros((3, 17, 12), np.uint16), lying=np.round(frames).astype(np.uint16))
     rates = {"sampling": {"rate_hz": 20.0}, "sync": {"rate_hz": 20.0}}
-    (tmp_path / "mat.toml").write_text(layouts.layout_toml(17, 23, **rates))
+    for name in ("mat", "seat"):
+        (tmp_path / f"{name}.toml").write_text(layouts.layout_toml(17, 23, name=name, **rates))
     touch = ("--input", "mat.npz", "--array", "lying", "--full-scale", "4095")
     less = ("--seconds", "3", "--json", "--no-view", "--no-classify")
-    figures = report(skin("demo", "--layout", "mat.toml", *touch, *less, cwd=tmp_path))
-    assert "classifier" not in figures["cpu_ratio"]
-    check_frames(figures, of_a_cycle=26)
-    assert figures["nodes_missing"] == []
-    assert figures["psnr_sensor_db"] > 60
-    assert figures["psnr_image_db"] > 25
-    assert figures["label_accuracy"] is None
+    done = skin("demo", "--layout", "mat.toml", "--layout", "seat.toml", *touch, *less, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    both = json.loads(done.stdout)
+    assert list(both) == ["mat", "seat"]
+    for name, figures in both.items():
+        assert figures["frames_lost"] == 0
+        assert "classifier" not in figures["cpu_ratio"]
+        check_frames(figures, of_a_cycle=26)
+        assert figures["nodes_missing"] == []
+        assert figures["psnr_sensor_db"] > 60
+        assert figures["psnr_image_db"] > 25
+        assert figures["label_accuracy"] is None
+        assert figures["picture"] == str(tmp_path / f"skin-demo-{name}.png")
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ FIGURES: Final[dict[str, tuple[tuple[str, ...], str]]] = {
     "canskin_service_processor_seconds_total": (("service",), "Processor time of all threads."),
     "canskin_service_overruns_total": (("service",), "Messages for which a service was too slow."),
     "canskin_messages_missed_total": (("service",), "Messages that the fabric dropped."),
+    "canskin_clock_error_seconds": (("service",), "Bound of the error of the gateway's clock, as a service knows it."),
 }
 #: Of these a service tells its own, in a field of `health.snapshot.Service`.
 _TOLD: Final = {
@@ -37,6 +38,7 @@ _TOLD: Final = {
     "canskin_service_processor_seconds_total": "processor_s",
     "canskin_service_overruns_total": "overruns",
     "canskin_messages_missed_total": "missed",
+    "canskin_clock_error_seconds": "clock_error_s",
 }
 #: Most causes of a skin at once, the worst first: other programs name what they are about.
 CAUSES_MAX: Final = 128

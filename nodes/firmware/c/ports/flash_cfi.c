@@ -21,43 +21,50 @@ static uintptr_t place_of(const void *context, uint8_t slot, uint32_t at)
     return flash_base() + (uintptr_t)context + slot * FLASH_SECTOR_BYTES + at;
 }
 
-/* Give two words, wait for the end, and leave the memory readable; returns 0 on success. */
-static int run(uintptr_t at, uint32_t command, uint32_t word)
+/* Give a command with its word, and wait for the end. */
+static void run(uintptr_t at, uint32_t command, uint32_t word)
 {
-    uint32_t status;
-
-    flash_take();
     put(at, command);
     put(at, word);
-    do {
-        status = get(at);
-    } while ((status & BOTH(READY)) != BOTH(READY));
+    while ((get(at) & BOTH(READY)) != BOTH(READY)) {
+    }
+}
+
+/* Leave the memory readable; returns 0 if all commands have succeeded. */
+static int end(uintptr_t at)
+{
+    const uint32_t errors = get(at) & BOTH(ERRORS);
+
     put(at, BOTH(CLEAR_STATUS));
     put(at, BOTH(READ));
     flash_give();
-    return (status & BOTH(ERRORS)) != 0;
+    return errors != 0;
 }
 
 static int erase(void *context, uint8_t slot)
 {
-    return run(place_of(context, slot, 0), BOTH(ERASE), BOTH(CONFIRM));
+    const uintptr_t at = place_of(context, slot, 0);
+
+    flash_take();
+    run(at, BOTH(ERASE), BOTH(CONFIRM));
+    return end(at);
 }
 
 static int write(void *context, uint8_t slot, uint32_t at, const uint8_t *data, uint16_t bytes)
 {
+    const uintptr_t first = place_of(context, slot, at);
     uint32_t each, byte;
 
+    flash_take();
     for (each = 0; each < bytes; each += 4) {
         uint32_t word = 0xFFFFFFFFu;
 
         for (byte = 0; byte < 4 && each + byte < bytes; byte++) {
             word &= ~((uint32_t)(uint8_t)~data[each + byte] << 8 * byte);
         }
-        if (run(place_of(context, slot, at + each), BOTH(PROGRAM), word) != 0) {
-            return 1;
-        }
+        run(first + each, BOTH(PROGRAM), word);
     }
-    return 0;
+    return end(first);
 }
 
 static int read(void *context, uint8_t slot, uint32_t at, uint8_t *data, uint16_t bytes)
