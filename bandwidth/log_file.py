@@ -5,7 +5,7 @@ import re
 import zlib
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from io import BufferedReader, StringIO, TextIOWrapper
 from pathlib import Path
@@ -21,14 +21,13 @@ from skin.limits import TEXT_BYTES_MAX
 _File = BufferedReader | gzip.GzipFile
 #: Encodings by the bytes that a text begins with.
 _ENCODINGS: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb": "utf-8-sig"}
-#: An error frame of SocketCAN in a log of candump: the identifier contains CANDUMP_ERROR.
-_ERROR_FRAME: Final = re.compile(r"(\s*\(\S+\)\s+\S+\s+)([23][0-9A-Fa-f]{7})(#.*)", re.DOTALL)
-#: The raw DLC that candump adds to a frame of 8 bytes.
-_RAW_DLC: Final = re.compile(r"(#(?:[0-9A-Fa-f]{16}|R8))_[9A-Fa-f]\b")
+#: A line of candump -l: time and channel, identifier, flags and data, raw DLC of a frame of 8 bytes, direction.
+_LOGGED: Final = re.compile(
+    r"\s*(\([-+.\de]+\)\s+\S+\s+)([\dA-F]{3,8})(#(?:#\d)?(?:R[0-8]?|(?:[\dA-F]{2})*))(?:_[9A-F])?(\s+[RT])?\s*$",
+    re.IGNORECASE,
+)
 #: A CAN XL frame of candump: flags, type of the content, acceptance field.
 _CAN_XL: Final = re.compile(r"#[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#")
-#: A line of candump -l: time, channel, identifier, data.
-_LOGGED: Final = re.compile(r"\s*\(\d+(\.\d+)?\)\s+\S+\s+[0-9A-Fa-f]{3,8}#")
 #: A line that candump prints on a terminal: length in brackets, then data.
 _PRINTED: Final = re.compile(r"\s*(\(\S+( \S+)?\)\s+)?\S+\s+([TR]X\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
 #: Lines without a frame: comments, headers, states, statistics, and the requests of frames that follow themselves.
@@ -50,8 +49,13 @@ _LINE_MAX: Final = 2**14
 _BLF_ERRORS: Final = (2, 104)
 
 
-class LogFile(ABC):
+class LogFile:
     """The frames of a log, in its order; an iteration raises any exception where the log is damaged.
+
+    Parameters
+    ----------
+    reader : iterable of can.Message
+        Reads a log of which nothing else is known.
 
     Attributes
     ----------
@@ -64,18 +68,7 @@ class LogFile(ABC):
     unit = "frame"
     number = 0
 
-    @abstractmethod
-    def __iter__(self) -> Generator[can.Message]: ...
-
-    def missing(self) -> Iterator[str]:
-        """Yield, after the last frame, what a reader has to know of parts that were not read."""
-        yield from ()
-
-
-class _Other(LogFile):
-    """A log that python-can reads as a whole."""
-
-    def __init__(self, reader: can.io.generic.MessageReader) -> None:
+    def __init__(self, reader: Iterable[can.Message]) -> None:
         self._reader = reader
 
     def __iter__(self) -> Generator[can.Message]:
@@ -83,14 +76,18 @@ class _Other(LogFile):
             self.number += 1
             yield message
 
+    def missing(self) -> Iterator[str]:
+        """Yield, after the last frame, what a reader has to know of parts that were not read."""
+        yield from ()
 
-class _Text(LogFile):
+
+class _Text(LogFile, ABC):
     """A log of lines. A last line without line end is left out: a cut line may look like a shorter frame."""
 
     unit = "line"
 
     def __init__(self, file: _File) -> None:
-        self._file = _text(file)
+        self._file = TextIOWrapper(file, _ENCODINGS.get(file.peek(2)[:2], "utf-8"), "replace")
         self._cut = ""
         #: Number of lines that were not read, and the first of them.
         self._unread = self._first_unread = 0
@@ -137,11 +134,13 @@ class _Candump(_Text):
             raise ValueError("it is what candump shows: record it with 'candump -l'")
         if _NO_FRAME.match(line) or _CAN_XL.search(line):
             return None
-        line = _RAW_DLC.sub(r"\1", line)
-        if (error := _ERROR_FRAME.match(line)) is not None:
-            line = f"{error[1]}{int(error[2], 16) & ~CANDUMP_ERROR:08X}{error[3]}"
-        message = next(iter(can.CanutilsLogReader(StringIO(line))))
-        message.is_error_frame = error is not None
+        if (found := _LOGGED.match(line)) is None:
+            raise ValueError("expected a frame as 'candump -l' writes it")
+        place, identifier, content, direction = found.groups("")
+        is_error = len(identifier) > 3 and bool(int(identifier, 16) & CANDUMP_ERROR)
+        plain = f"{int(identifier, 16) & ~CANDUMP_ERROR:0{len(identifier)}X}"
+        message = next(iter(can.CanutilsLogReader(StringIO(place + plain + content + direction))))
+        message.is_error_frame = is_error
         return message
 
 
@@ -194,7 +193,7 @@ class _Blf(LogFile, can.BLFReader):
     """Reads as python-can does, object by object, and no more than `TEXT_BYTES_MAX` of unpacked bytes at once."""
 
     def __init__(self, file: _File) -> None:
-        super().__init__(file)  # type: ignore[arg-type]  # what it needs of a file
+        can.BLFReader.__init__(self, file)  # type: ignore[arg-type]  # what it needs of a file
         self._cut = ""
         self._unread = Counter[int]()
 
@@ -281,7 +280,7 @@ _KINDS: Final[dict[str, type[_Text | _Blf]]] = {
 
 @contextmanager
 def open_log(path: Path) -> Iterator[LogFile]:
-    """Open a log of the format of its suffix, or where no format has this suffix, one of candump by its content.
+    """Open a log of the format of its suffix; a log of candump may have any other suffix.
 
     Raises
     ------
@@ -290,27 +289,12 @@ def open_log(path: Path) -> Iterator[LogFile]:
     """
     is_packed = path.suffix.lower() == ".gz"
     suffix = (Path(path.stem) if is_packed else path).suffix.lower()
-    kind = _KINDS.get(suffix)
+    kind = _KINDS.get(suffix, None if suffix in MESSAGE_READERS else _Candump)
     with gzip.open(path) if is_packed else path.open("rb") as file:
-        if suffix not in MESSAGE_READERS and _is_of_candump(file):
-            kind = _Candump
         if kind is not None and not (is_packed and kind is _Blf):
             yield kind(file)
             return
     if is_packed:
         raise ValueError("expected lines in a .gz")
     with can.LogReader(path) as reader:
-        yield _Other(reader)
-
-
-def _text(file: _File) -> TextIOWrapper:
-    return TextIOWrapper(file, _ENCODINGS.get(file.peek(2)[:2], "utf-8"), "replace")
-
-
-def _is_of_candump(file: _File) -> bool:
-    text = _text(file)
-    lines = iter(lambda: text.readline(_LINE_MAX), "")
-    first = next((line for line in lines if not _NO_FRAME.match(line)), "")
-    text.detach()
-    file.seek(0)
-    return (_LOGGED.match(first) or _PRINTED.match(first)) is not None
+        yield LogFile(reader)

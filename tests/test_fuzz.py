@@ -41,11 +41,10 @@ from skin.matrix import read_matrix
 from skin.measured_sums import check_measurement
 from tests import messages as make
 from tests.bandwidth.log_corpus import CORPUS
-from tests.descriptions import URDF, icub
+from tests.descriptions import DBC, URDF, icub
 from tests.health.helpers import Messages
 from tests.layouts import layout_toml, small_contract, small_layout
 from tests.recording.helpers import write_run
-from tests.skin.test_foreign import DBC
 from tests.world import World
 from touch.meshes import MeshPose, load_mesh
 from touch.reading import read_counts

@@ -67,7 +67,7 @@ def test_formats(tmp_path: Path, suffix: str) -> None:
         ("empty.log", b"", "holds no CAN frame"),
         ("words.log", b"these are words\n", "cannot be read"),
         ("bytes.blf", bytes(200), "cannot be read"),
-        ("what.pdf", b"%PDF", "cannot be read"),
+        ("what.pdf", b"%PDF-1.7\n", "line 1: cannot be read as a log of CAN frames: expected a frame"),
         ("never.log", b"(1e400) can0 181#01\n", "line 1: cannot be read"),
         ("before.log", b"(-0.5) can0 181#01\n", "line 1: .* a time of -0.5 s"),
         ("half.log", b"(1.0) can0 181#0100\n(1.1) can0 181#01G0\n(1.2) can0 181#01\n", "line 2: cannot be read"),
