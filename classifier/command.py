@@ -1,5 +1,7 @@
 """The verbs ``skin classify`` and ``skin train``."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +20,7 @@ from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from shell.terminal import Json, print_json, print_table, progress
 from shell.touch_options import ObjectNames
+from shell.worker import serve_skins
 from skin.layout import Layout, layout_text, load_layout
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
@@ -34,13 +37,15 @@ def classify(
 
     Without ``--model``, a model for this skin is trained once and kept in the cache folder: ``$SKIN_CACHE``, else
     ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``.
+    Without ``--layout`` and ``--skin``, every skin of the hub that has a model is served; of several skins those
+    without a model are left out. Of two classifiers that serve a skin one stands by.
 
     Parameters
     ----------
     of
         Which skin.
     model
-        Model file from ``skin train`` for this skin.
+        Model file from ``skin train`` for this skin, or a folder with a file ``SKIN.npz`` for each.
     objects
         Objects to train on without ``--model``.
     stroke
@@ -52,23 +57,33 @@ def classify(
     skin classify --objects paper
     skin classify --layout palm.toml --model palm.npz
     """
-    from classifier.decide import Classifier  # compiled parts take a moment to load
-    from classifier.service import make_service
-
-    stop, of = StopSignal().install(), of or SkinOptions()
-    pulse = Pulse(stop)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
         raise InputError("--model contains what it was trained on: leave --stroke out")
-    if model is not None:
+    if model is not None and not model.is_dir():
         read_model(model)  # before any wait for a hub
+
+    def find(skin: Layout, *, is_only: bool) -> Model:
+        phi = classified_phi(skin)
+        if model is not None:
+            return load_model(model / f"{skin.name}.npz" if model.is_dir() else model, skin, phi)
+        if not is_only and not cached_path(skin, phi, _named(objects), stroke or "slide").exists():
+            raise InputError("it has no model: train one, 'skin train --layout FILE', or give --model FOLDER")
+        return find_or_train(skin, phi, _named(objects), stroke or "slide")
+
+    serve_skins("classifier", of or SkinOptions(), partial(_serve, find))
+
+
+def _serve(find: Callable[..., Model], of: SkinOptions, is_only: bool) -> None:
+    """Serve one skin, with the model that is found."""
+    from classifier.decide import Classifier  # compiled parts take a moment to load
+    from classifier.service import make_service
+
+    stop = StopSignal().install()
+    pulse = Pulse(stop)
     skin = of.find("classifier", stop)
-    classified = classified_phi(skin)
-    if model is not None:
-        trained = load_model(model, skin, classified)
-    else:
-        trained = find_or_train(skin, classified, _named(objects), stroke or "slide")
+    trained, classified = find(skin, is_only=is_only), classified_phi(skin)
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)

@@ -18,7 +18,7 @@ from canskin.peers import Peer
 #: The services of which one publishes, and the smallest message that comes with each of its results.
 RESULTS: Final = {"reconstructor": CONTACTS, "classifier": LABEL}
 #: The named one is replaced when nothing has come from it for this time, or for this number of its results' processor
-#: times: a machine that is slow is no machine that stands still.
+#: times: a slow machine does not stand still. After twice this time it is replaced also by one that may stand still.
 SILENCE_S: Final = 0.15
 SILENCE_RESULTS: Final = 4.0
 #: A gateway that has not looked for this time was late itself.
@@ -39,15 +39,17 @@ class _Candidate:
     heard_s: float
     keys: set[str] = field(default_factory=set)
     load_ratio: float = 0.0
-    made: int = 0
+    made: int | None = None
     #: Processor time of a result.
     cost_s: float = 0.0
     works: bool = True
 
     def take(self, status: ServiceStatus, now_s: float) -> None:
         """Take what the service tells of itself."""
-        self.works, more = status.made > self.made, max(1, status.made - self.made)
-        self.cost_s = status.load_ratio * (now_s - self.heard_s) / more
+        if self.made is not None:
+            more = status.made - self.made
+            self.works = more > 0
+            self.cost_s = status.load_ratio * (now_s - self.heard_s) / max(1, more)
         self.heard_s, self.made, self.load_ratio = now_s, status.made, status.load_ratio
 
     def is_fit(self, now_s: float) -> bool:
@@ -131,12 +133,12 @@ class Duty:
         named = self._candidates.get(self.named)
         if named is None or self._owed_since_s is None:
             return
-        silent_s = now_s - self._owed_since_s
-        if silent_s > max(SILENCE_S, SILENCE_RESULTS * named.cost_s):
-            fit = [each for each in self._candidates.values() if each is not named and each.is_fit(now_s)]
-            if fit:
-                named.works = False  # until it tells of more results
-            self._name(self._best(now_s, fit) or named, f"has sent nothing for {silent_s:.2f} s")
+        silent_s, patience_s = now_s - self._owed_since_s, max(SILENCE_S, SILENCE_RESULTS * named.cost_s)
+        others = [each for each in self._candidates.values() if each is not named]
+        fit = [each for each in others if each.is_fit(now_s)]
+        if silent_s > (patience_s if fit else 2 * patience_s):
+            named.works = False  # until it tells of more results
+            self._name(self._best(now_s, others), f"has sent nothing for {silent_s:.2f} s")
 
     def _best(self, now_s: float, among: Iterable[_Candidate]) -> _Candidate | None:
         def rank(each: _Candidate) -> tuple[bool, float, str]:

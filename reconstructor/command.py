@@ -10,6 +10,7 @@ from reconstructor.service import ReconstructorService, warm_up
 from shell.pulse import Pulse
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
+from shell.worker import serve_skins
 from skin.limits import read_file
 
 
@@ -20,6 +21,9 @@ def reconstruct(
     gains: Path | None = None,
 ) -> None:
     """Compute a tactile image from every measurement; publish the image and its contacts.
+
+    Without ``--layout`` and ``--skin``, of every skin of the hub, also of those that come later. Of two that serve a
+    skin one stands by.
 
     Parameters
     ----------
@@ -37,11 +41,16 @@ def reconstruct(
     skin reconstruct --gains gains.json
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
-    stop, of = StopSignal().install(), of or SkinOptions()
-    pulse = Pulse(stop)
     (solver or SolverOptions()).settings()  # its errors before any wait, and those of a file
     if gains is not None:
         read_file(gains, InputError, "the gains")
+    serve_skins("reconstructor", of or SkinOptions(), lambda skin, _: _serve(skin, solver, gains))
+
+
+def _serve(of: SkinOptions, solver: SolverOptions | None, gains: Path | None) -> None:
+    """Serve one skin."""
+    stop = StopSignal().install()
+    pulse = Pulse(stop)
     skin = of.find("reconstructor", stop)
     imager = make_imager(skin, solver, gains)
     warm_up(skin, imager)

@@ -59,7 +59,8 @@ class SkinOptions:
     connect
         Endpoint of the fabric's hub, usually the gateway; default: a socket that only this user may open.
     skin
-        Name of the skin, where the hub has several, see ``skin list``.
+        Name of the skin, where the hub has several, see ``skin list``; ``skin reconstruct`` and ``skin classify`` take
+        all of them.
     """
 
     layout: Path | None = None
@@ -233,6 +234,12 @@ def join(
         patience_s=patience_s,
         prepare=describe_it,
     )
+
+
+def await_skins(endpoint: str, service: str, stop: Stop) -> None:
+    """Wait for the hub, and for a skin there; raise BusError if none comes in `SERVICE_PATIENCE_S`."""
+    words = _WORDS._replace(service=service)
+    find_skin(endpoint, None, SERVICE_PATIENCE_S, knows_layout, words=words, stop=stop, is_one=False)
 
 
 def hub_layout(

@@ -27,11 +27,14 @@ class Watchdog:
         Longest time between two signs of life; 0 without a limit.
     services : set of str
         Names of threads, each of which must give a sign of life for one of the process; empty: any thread does.
+    joins : bool
+        Whether a thread is one of `services` from its first sign on.
     """
 
     def __init__(self) -> None:
         self.limit_s = 0.0
         self.services = set[str]()
+        self.joins = False
         self._alive = set[str]()
         self._socket = ""
         self._is_ready = False
@@ -55,7 +58,10 @@ class Watchdog:
 
     def feed(self) -> None:
         """Give a sign of life of this thread; the process's first one says that it is ready, and begins the watch."""
-        self._alive.add(threading.current_thread().name)
+        name = threading.current_thread().name
+        self._alive.add(name)
+        if self.joins:
+            self.services.add(name)
         if self._alive >= self.services:
             self._alive.clear()
             self._feed()

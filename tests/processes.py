@@ -72,6 +72,14 @@ class Processes:
             process.wait()
             raise
 
+    def number(self, name: str) -> int:
+        """Return the number of a process."""
+        return self._running[name].pid
+
+    def runs(self, name: str) -> bool:
+        """Tell whether a process was started, and not stopped since."""
+        return name in self._running
+
     def peak_bytes(self, name: str) -> int:
         """Return the most memory that a process had so far, as Linux counts it."""
         about = Path("/proc", str(_inside(self._running[name].pid)), "status").read_text()

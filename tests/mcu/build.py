@@ -53,10 +53,11 @@ class Images:
         lines = (line.split() for line in _run("arm-none-eabi-nm", self.board(cpu)).splitlines())
         return {name: int(address, 16) for address, _, name in lines}
 
-    def sizes(self) -> tuple[int, int, int]:
-        """Return bytes of text, data and bss of the program of a board."""
-        text, data, bss = _run("arm-none-eabi-size", self.board(1)).splitlines()[1].split()[:3]
-        return int(text), int(data), int(bss)
+    def sizes(self) -> tuple[int, int]:
+        """Return bytes of flash memory and of RAM, without stacks, that the program of a board takes."""
+        text, data, bss = map(int, _run("arm-none-eabi-size", self.board(1)).splitlines()[1].split()[:3])
+        symbols = self.symbols(1)
+        return text + data, data + bss - (symbols["__interrupt_stack"] - symbols["__stack_bottom"])
 
 
 def tool_environment() -> dict[str, str]:

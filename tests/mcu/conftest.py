@@ -12,6 +12,7 @@ from skin.layout import Layout, layout_text
 from tests.layouts import STEPPED, buses, small_layout
 from tests.mcu.build import BOARDS, Images, build
 from tests.mcu.machine import Machine
+from tests.mcu.sizes import TABLE
 
 GIVEN: Final = "SKIN_MCU" in os.environ
 RATE: Final = {"rate_hz": 20.0}
@@ -29,6 +30,8 @@ collect_ignore_glob = [] if GIVEN else ["test_*.py"]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    for line in TABLE:
+        terminalreporter.write_line(line)
     if not GIVEN:
         terminalreporter.write_line("not run: the tests on emulated boards; `make test-mcu` runs them", yellow=True)
 

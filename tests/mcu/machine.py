@@ -1,6 +1,7 @@
 """An emulated machine: boards with a processor, a CAN controller and a flash memory each, and an slcan adapter."""
 
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -28,6 +29,8 @@ PATIENCE_S: Final = 60.0
 FLASH_BYTES, BOARD_BYTES, SECTOR_BYTES = 1 << 26, 1 << 21, 1 << 18
 #: Switches of board n: its node-ID (``ports/virt/virt.h``).
 SWITCHES, SWITCHES_STEP = 0x43000000, 0x100
+#: Bytes of a stack that were never used (``ports/virt/start.S``).
+PAINT: Final = b"\xa5"
 #: The instruction of Thumb code.
 BRANCH_TO_ITSELF: Final = 0xE7FE
 #: QEMU may wait for ever for something that it has: a processor that writes to the flash memory may take the note that
@@ -196,6 +199,13 @@ class Machine:
                         assert "error" not in answer, answer
         return path.read_bytes()
 
+    def stack_bytes(self, cpu: int) -> int:
+        """Return the most bytes that main program and interrupts of a board had on their stacks together."""
+        symbols = self.images.symbols(cpu)
+        ends = [symbols[name] for name in ("__stack_bottom", "__stack", "__interrupt_stack")]
+        stacks = [self.peek(low, high - low) for low, high in itertools.pairwise(ends)]
+        return sum(len(stack) - (len(stack) - len(stack.lstrip(PAINT))) // 4 * 4 for stack in stacks)
+
     def _wake(self, process: subprocess.Popen[bytes]) -> None:
         while not self._ended.wait(WAKING_S):
             process.send_signal(signal.SIGALRM)
@@ -211,7 +221,7 @@ class Machine:
                 place = f"addr={SWITCHES + cpu * SWITCHES_STEP:#x}"
                 devices += ["-device", f"loader,{place},data={cpu},data-len=4"]
         return [
-            *("nice", "-n", "5", "qemu-system-arm", "-M", "virt,highmem=off,gic-version=2", "-cpu", "cortex-a15"),
+            *("qemu-system-arm", "-M", "virt,highmem=off,gic-version=2", "-cpu", "cortex-a15"),
             *("-smp", str(BOARDS + 1), "-m", "128M", "-accel", "tcg,thread=multi", "-display", "none", "-nodefaults"),
             *("-L", TOOLS / "usr/share/qemu", "-object", "can-bus,id=bus", "-object", "can-bus,id=none", *devices),
             *("-device", f"{control},addr={BOARDS + 1}", "-chardev", "pty,id=adapter", "-serial", "chardev:adapter"),

@@ -8,8 +8,14 @@ import pytest
 from dbc.canopen import HEARTBEAT_BASE
 from tests.mcu.build import BOARDS, Images
 from tests.mcu.machine import Machine
-from tests.mcu.watched_gateway import WatchedGateway
+from tests.mcu.sizes import check_sizes
+from tests.mcu.watched_gateway import PressedGateway, WatchedGateway
 from tests.processes import Verb
+
+#: Kinds of boards as ``docs/firmware.md`` calls them.
+KINDS = {"classic": "synchronous, classic CAN", "fd": "synchronous, CAN FD, 4 blocks", "steps": "steps, classic CAN"}
+#: Attempts of a check.
+CHECKS = 5
 
 
 def counts(machine: Machine, cpu: int) -> tuple[int, int, int, int]:
@@ -18,12 +24,22 @@ def counts(machine: Machine, cpu: int) -> tuple[int, int, int, int]:
     return found[0], found[1], found[2], found[3]
 
 
+def check(machine: Machine, skin: Verb, node: int) -> None:
+    """Have a board checked; on a busy machine its frames may come late, for which it is checked again."""
+    found = []
+    for _ in range(CHECKS):
+        code, said, errors = skin("node", "check", "--node", node, *machine.on_bus)
+        if code == 0:
+            return
+        found.append(said + errors)
+    pytest.fail("\n".join(found))
+
+
 @pytest.mark.parametrize("kind", ["classic", "fd"])
 def test_boards_keep_the_contract_and_measure(kind: str, built: dict[str, Images], skin: Verb, tmp_path: Path) -> None:
     with Machine(built[kind], tmp_path) as machine:
         for node in range(1, BOARDS + 1):
-            code, said, errors = skin("node", "check", "--node", node, *machine.on_bus)
-            assert code == 0, said + errors
+            check(machine, skin, node)
         with machine.link() as link:
             gateway = WatchedGateway(machine.images.contract, link)
             gateway.run_until_whole()
@@ -34,6 +50,20 @@ def test_boards_keep_the_contract_and_measure(kind: str, built: dict[str, Images
             assert received > 0
             assert sent > 0
             assert not lost
+        check_sizes(machine, KINDS[kind])
+
+
+def test_stepped_boards_keep_the_contract_and_send_a_pressure(
+    built: dict[str, Images], skin: Verb, tmp_path: Path
+) -> None:
+    with Machine(built["steps"], tmp_path) as machine:
+        check(machine, skin, 1)
+        with machine.link() as link:
+            gateway = PressedGateway(machine.images.contract, link)
+            gateway.until(lambda: gateway.is_pressed, "the pressure")
+            gateway.run(2.0)
+        assert gateway.checked > 0
+        check_sizes(machine, KINDS["steps"])
 
 
 def test_a_lost_sync_makes_no_block_wrong(machine: Machine) -> None:

@@ -66,6 +66,39 @@ class WatchedGateway:
             self.checked += 1
 
 
+class PressedGateway(WatchedGateway):
+    """The gateway of stepped boards on which a pressure lies, from some seconds after power-up on.
+
+    Attributes
+    ----------
+    is_pressed : bool
+        Whether the newest measurement has the pressure on all blocks.
+    """
+
+    def __init__(self, contract: Contract, link: Link) -> None:
+        super().__init__(contract, link)
+        self.is_pressed = False
+        felt = np.zeros(contract.phi.taxels, np.int64)
+        for node in contract.nodes:  # ``ports/virt/converters.c``
+            felt[contract.phi.taxels_of_blocks[node.block]] = (
+                16 * node.node_id * (np.arange(contract.phi.block_size) % 8)
+            )
+        self._sums = contract.phi.forward(felt)
+        is_first = np.diff(contract.phi.block_of_sum, prepend=-1) > 0
+        #: Noise of 0 to 3 counts is in the sum of all taxels as a whole, in the others as differences.
+        self._allowed = np.where(is_first, 3 * contract.phi.block_size, contract.phi.block_size)
+
+    def _check(self, measurement: Measurement) -> None:
+        self.newest = np.frombuffer(measurement.valid, np.uint8) == 1
+        self.complete += bool(self.newest.all())
+        near = np.abs(np.frombuffer(measurement.sums, "<i4") - self._sums) <= self._allowed
+        is_known = self.newest[self.contract.phi.block_of_sum]
+        if self.is_pressed:
+            assert near[is_known].all(), f"measurement {measurement.cycle}: a valid block has other sums than its board"
+            self.checked += int(self.newest.sum())
+        self.is_pressed |= bool((near & is_known).all())
+
+
 class _BlockWatch:
     """What the converters of a block show, and which conversion was seen last."""
 

@@ -7,6 +7,9 @@
 #ifndef BOARDS
 #define BOARDS 3u
 #endif
+#define VIRT_UART 0x09000000u
+#define VIRT_UART_INTERRUPT 33u
+#define VIRT_PCI_CONFIG 0x3F000000u
 /* The bus of the emulator takes no time; a frame of 1 Mbit/s does. */
 #define FRAME_NS 55000
 #define BYTE_NS 10000

@@ -1,6 +1,5 @@
 /* Parallel NOR flash by the commands of Intel (CFI 01): two devices of 16 bits side by side, a sector for each slot. */
 #include "port.h"
-#include "flash_cfi.h"
 
 enum { PROGRAM = 0x40, ERASE = 0x20, CONFIRM = 0xD0, CLEAR_STATUS = 0x50, READ = 0xFF, READY = 0x80, ERRORS = 0x3A };
 /* A byte for both devices. */

@@ -61,15 +61,6 @@ static uint32_t now_ms(void)
     return (uint32_t)(port_now_ns() / MILLISECOND_NS);
 }
 
-static void wait(uint32_t time_ms)
-{
-    const uint32_t since_ms = now_ms();
-
-    while (now_ms() - since_ms < time_ms) {
-        port_alive();
-    }
-}
-
 static void heed(const skin_frame *frame)
 {
     const uint32_t can_id = frame->can_id;
@@ -118,42 +109,32 @@ static const skin_board *own_board(void)
     return board;
 }
 
-static void boot(void)
-{
-    if (port_node_id() == 0) {
-        skin_lss_boot(&node, now_ms());
-    } else {
-        skin_boot(&node, now_ms(), 0);
-    }
-}
-
-/* What is due by time; tell whether the board has booted. */
+/* What is due each millisecond; tell whether the board has booted. */
 static int tick(int has_booted)
 {
-    static uint32_t ticked_ms;
-
-    if (now_ms() == ticked_ms) {
-        return has_booted;
-    }
-    ticked_ms = now_ms();
 #if SKIN_STEPPED
     (void)port_convert(NULL, readings[0]);
     if (!skin_sample(&node, readings[0])) {
         return 0; /* the board learns its noise */
     }
-    if (!has_booted) {
-        boot();
+#endif
+    if (!has_booted && port_node_id() == 0) {
+        skin_lss_boot(&node, now_ms());
+    } else if (!has_booted) {
+        skin_boot(&node, now_ms(), 0);
     }
+#if SKIN_STEPPED
     skin_send_sums(&node, port_now_ns());
 #endif
-    skin_tick(&node, ticked_ms);
+    skin_tick(&node, now_ms());
     queue_tick(port_now_ns());
     return 1;
 }
 
 int main(void)
 {
-    int has_booted = !SKIN_STEPPED;
+    int has_booted = 0;
+    uint32_t ticked_ms = 0;
     skin_frame frame;
 
     port_open();
@@ -164,25 +145,22 @@ int main(void)
     skin_init(&node, own_board(), &outbox, &storage);
     skin_program_init(&node, &port_programs, port_slot());
     node.serial_number = port_serial_number();
-    if (has_booted) {
-        boot();
-    }
     for (;;) {
         flush();
         own_node_id = node.lss.node_id;
         heed_outcomes();
-        has_booted = tick(has_booted);
+        if (ticked_ms != now_ms()) {
+            ticked_ms = now_ms();
+            has_booted = tick(has_booted);
+        }
         if (queue_take(&frame) && has_booted) {
             heed(&frame);
         }
-        if (node.lss.is_switching) { /* to the only bit rate that this board knows */
-            flush();
-            wait(2u * node.lss.switch_delay_ms);
-            node.lss.is_switching = 0;
-        }
+        node.lss.is_switching = 0; /* this board knows one bit rate, which it has */
         if (node.program.is_resetting) {
             flush();
-            wait(2); /* the answer */
+            while (queue_is_sending()) { /* the answer; the watchdog ends a wait in vain */
+            }
             port_reset();
         }
         port_alive();

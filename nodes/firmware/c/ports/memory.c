@@ -1,25 +1,24 @@
 /* What a compiler calls of a C library, byte by byte: no access has to be aligned. */
 #include <stddef.h>
 
-void *memcpy(void *to, const void *from, size_t bytes)
+void *memmove(void *to, const void *from, size_t bytes)
 {
+    char *written = to;
+    const char *read = from;
     size_t each;
 
-    for (each = 0; each < bytes; each++) {
-        ((char *)to)[each] = ((const char *)from)[each];
+    for (each = 0; each < bytes && written <= read; each++) {
+        written[each] = read[each];
+    }
+    while (written > read && bytes-- > 0) {
+        written[bytes] = read[bytes];
     }
     return to;
 }
 
-void *memmove(void *to, const void *from, size_t bytes)
+void *memcpy(void *to, const void *from, size_t bytes)
 {
-    if ((const char *)to < (const char *)from) {
-        return memcpy(to, from, bytes);
-    }
-    while (bytes-- > 0) {
-        ((char *)to)[bytes] = ((const char *)from)[bytes];
-    }
-    return to;
+    return memmove(to, from, bytes);
 }
 
 void *memset(void *to, int value, size_t bytes)
@@ -34,10 +33,7 @@ int memcmp(const void *one, const void *other, size_t bytes)
 {
     const unsigned char *left = one, *right = other;
 
-    for (; bytes > 0; bytes--, left++, right++) {
-        if (*left != *right) {
-            return *left < *right ? -1 : 1;
-        }
+    for (; bytes > 0 && *left == *right; bytes--, left++, right++) {
     }
-    return 0;
+    return bytes == 0 ? 0 : *left - *right;
 }

@@ -41,6 +41,14 @@ extern const skin_flash port_programs, port_records;
 uint8_t port_slot(void);
 void port_start(uint8_t slot); /* of the bootloader: start the program of a slot; does not return */
 
+/* Of flash_cfi.c: the first sector of this board. While the board has taken the memory, nobody else uses it; nothing to do if the board
+ * has it for itself.
+ */
+#define FLASH_SECTOR_BYTES 0x40000u
+uintptr_t flash_base(void);
+void flash_take(void);
+void flash_give(void);
+
 /* The CAN driver: one transmit buffer. */
 
 void can_open(uintptr_t base, uint32_t clock_hz); /* reset the controller, with the bit rates of board.h */

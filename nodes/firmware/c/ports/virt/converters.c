@@ -1,8 +1,10 @@
 /* A board of the machine virt: its controller, and converters that read what a test can know: at each SYNC other counts; of stepped
- * boards those of a patch at rest, with noise.
+ * boards noise, and from sample PRESSED_AT on a pressure that stays.
  */
 #include "port.h"
 #include "virt.h"
+
+#define PRESSED_AT 4096u
 
 void port_open(void)
 {
@@ -30,12 +32,13 @@ uint16_t port_convert(const skin_frame *sync, skin_reading *readings)
 {
     static uint32_t conversions;
     const uint32_t counter = sync == NULL ? 0 : sync->data[0], first = mixed((conversions * 256u + counter) * 128u + virt_cpu());
+    const uint32_t pressure = conversions < PRESSED_AT ? 0 : 16u * virt_cpu();
     uint32_t each;
 
     for (each = 0; each < SKIN_READINGS; each++) {
         const uint32_t drawn = mixed(first + each);
 
-        readings[each] = (skin_reading)(sync == NULL ? (drawn >> 24) * (drawn >> 16 & 255u) >> 14 : drawn >> 8 & 1023u);
+        readings[each] = (skin_reading)(sync == NULL ? (drawn >> 30) + pressure * (each % 8u) : drawn >> 8 & 1023u);
     }
     conversions++;
     return 1;

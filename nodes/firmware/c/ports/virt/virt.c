@@ -1,7 +1,6 @@
 /* QEMU's machine virt, Cortex-A15: interrupts, clock, watchdog, switches, flash memory. */
 #include "virt.h"
 
-#include "flash_cfi.h"
 #include "port.h"
 
 enum { ENABLED = 0x100, PRIORITY = 0x400, TARGETS = 0x800 }; /* of the GIC, with a bit or a byte for each interrupt */

@@ -8,15 +8,12 @@
 
 #define VIRT_GIC 0x08000000u
 #define VIRT_GIC_CPU 0x08010000u
-#define VIRT_UART 0x09000000u
 #define VIRT_FLASH 0x04000000u
 #define VIRT_FLASH_BOARD_BYTES 0x200000u
-#define VIRT_PCI_CONFIG 0x3F000000u
 #define VIRT_PCI_PORTS 0x3EFF0000u
 #define VIRT_PORTS_OF(slot) (0x1000u + (slot) * 0x200u) /* kvaser_pci: bridge, SJA1000, Xilinx */
 #define VIRT_MEMORY_OF(slot) (0x10000000u + (slot) * 0x20000u) /* ctucan_pci: bridge, cores */
 #define VIRT_PCI_INTERRUPT(slot) (32u + 3u + (slot) % 4u)
-#define VIRT_UART_INTERRUPT 33u
 #define VIRT_TIMER_INTERRUPT 27u
 #define VIRT_PROGRAM(cpu) (0x41000000u + (cpu) * 0x100000u)
 #define VIRT_BOOTLOADER(cpu) (0x42000000u + (cpu) * 0x100000u)
