@@ -26,6 +26,7 @@ from classifier.touches import Span, add_labels, read_labels
 from classifier.training import TrainingOptions, train
 from dbc import indices as od
 from dbc.frame import FRAME, Frames, frames
+from dbc.frame_bits import frame_time_ns
 from dbc.program import Program
 from dbc.values import decode
 from gateway.sdo import Download, Read, SdoDialogue, SdoError, Write, one
@@ -88,6 +89,12 @@ def copies(content: bytes) -> Iterator[bytes]:
         yield changed(content, random)
 
 
+def read_frames(path: Path) -> None:
+    """Read a log; each of its frames has a length on the bus."""
+    for found in read_log(path, lambda _: None).values():
+        assert (frame_time_ns(found, 1_000_000, 2_000_000) >= 0).all()
+
+
 def written(folder: Path) -> dict[str, tuple[Path, Callable[[Path], Any]]]:
     """Return a file of each kind, and what reads it."""
     log = [can.Message(timestamp=1.0 + each, arbitration_id=0x181, data=bytes(8), channel=0) for each in range(4)]
@@ -118,8 +125,7 @@ def written(folder: Path) -> dict[str, tuple[Path, Callable[[Path], Any]]]:
     (folder / "drives.dbc").write_text(DBC)
     pose = MeshPose(stems=("ball",), turns=(), unit="mm")
     read: dict[str, Callable[[Path], Any]] = {
-        **{f"log.{each}": partial(read_log, warn=lambda _: None) for each in LOGS},
-        **{each: partial(read_log, warn=lambda _: None) for each in CORPUS},
+        **dict.fromkeys((*(f"log.{each}" for each in LOGS), *CORPUS), read_frames),
         **{f"ball.{each}": partial(load_mesh, pose=pose) for each in ("stl", "ply", "obj", "off")},
         "counts.npz": partial(read_counts, arrays=None),
         "counts.npy": partial(read_counts, arrays=None),
@@ -151,7 +157,7 @@ KINDS = (
 #: What reads bytes that come from outside.
 READS = re.compile(
     r"read_file\(|read_text\(|read_bytes\(|open\(\"rb\"\)|\.recv\w*\(|Decoder\(|\.decode\(.*type=|unpack_from\("
-    r"|make_reader\(|StreamReader\(|BatchSocket\(|\.load_mesh\("
+    r"|make_reader\(|StreamReader\(|recvmmsg|\.load_mesh\("
 )
 #: The kind of file, or the test, that gives damaged bytes to each product file that matches `READS`.
 READERS = {
@@ -163,7 +169,7 @@ READERS = {
     "bus/protocol.py": "test_a_text",
     "client/canskin/messages.py": "test_a_message", "client/canskin/fabric.py": "test_a_message",
     "commissioning/node_objects.py": "test_answers",
-    "bus/socketcan.py": "test_frames", "bus/python_can.py": "test_frames",
+    "bus/datagrams.py": "test_frames", "bus/python_can.py": "test_frames",
 }  # fmt: skip
 #: Product files that match `READS`, and why there is no such target.
 ELSEWHERE = {
@@ -177,7 +183,7 @@ ELSEWHERE = {
         "views/ros2/names.py",
     ),
     "the kernel's": (
-        "bus/interface.py", "client/canskin/description.py", "health/host_time.py", "shell/pulse.py",
+        "bus/interface.py", "client/canskin/skin_clock.py", "health/host_time.py", "shell/pulse.py",
         "shell/service.py",
     ),
     "what libraries alone read: msgspec, TLS": ("views/page/app.py", "client/canskin/keys.py"),

@@ -64,6 +64,7 @@ def test_lengths_are_those_of_the_frames(tmp_path: Path) -> None:
     """The raw DLC B of a classic frame is 8 bytes, the DLC 9 of a frame of CAN FD is 12."""
     found, _ = read(tmp_path / "a.log", CORPUS["candump.log"])
     assert found["can0"]["length"].tolist()[:5] == [8, 8, 8, 5, 2]
+    assert found["can0"]["can_id"].tolist() == [0x181, 0x314, 0x315, 0x316, 0x317, 0x88, 0xC, 0x1ABCDEF]
     assert bytes(found["can0"]["data"][1, :8]).hex() == "1122334455667788"
     found, _ = read(tmp_path / "a.trc", CORPUS["errors-2-1.trc"])
     assert found["1"]["length"].tolist()[2] == 12
