@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Final
 
 from bus.faults import parse_fault
-from bus.options import virtual_bit_rates
+from bus.options import check_bit_rates, virtual_bit_rates
 from bus.server import BusServer, BusSettings
 from canskin.errors import InputError
 from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.terminal import Json, print_json
-from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX, load_layout
+from skin.layout import load_layout
 from skin.ranges import listed
 
 #: Far above any real device, and far below the limit of times in 64 bits.
@@ -69,11 +69,7 @@ def bus(
     rates = DEFAULT_BIT_RATES if layout is None else virtual_bit_rates(contract)
     bitrate = rates[0] if bitrate is None else bitrate
     data_bitrate = rates[1] if data_bitrate is None else data_bitrate
-    if not BITRATE_MIN <= bitrate <= BITRATE_MAX:
-        raise InputError(f"expected a bit rate of {BITRATE_MIN} to {BITRATE_MAX} bit/s, got {bitrate}")
-    if data_bitrate and not bitrate <= data_bitrate <= DATA_BITRATE_MAX:
-        wanted = f"a data bit rate of {bitrate} (the bit rate) to {DATA_BITRATE_MAX} bit/s, or 0 for no CAN FD"
-        raise InputError(f"expected {wanted}, got {data_bitrate}")
+    check_bit_rates(bitrate, data_bitrate)
     if queue_size < 1 or not 0 <= restart_s <= RESTART_MAX_S:
         wanted = f"a queue of 1 or more frames and a restart after 0 to {RESTART_MAX_S:g} s"
         raise InputError(f"expected {wanted}, got {queue_size} and {restart_s}")

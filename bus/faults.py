@@ -130,10 +130,14 @@ def parse_fault(text: str) -> Fault:
         key, equals, value = part.partition("=")
         fields[key.strip()] = _value(value.strip()) if equals else True
     try:
-        return msgspec.convert(fields, Fault, strict=False)
+        fault = msgspec.convert(fields, Fault, strict=False)
     except msgspec.ValidationError as error:
         keys = ", ".join(Fault.__struct_fields__)
         raise InputError(f"fault '{text}': {error}; expected KEY=VALUE,… with keys {keys}") from error
+    delay = fault.delay_ratio * fault.delay_s
+    if not (fault.loss_ratio or fault.duplicate_ratio or delay or fault.bit_error_rate or fault.off):
+        raise InputError(f"fault '{text}': does nothing: commas join its keys, and a delay has a ratio and a time")
+    return fault
 
 
 def _value(text: str) -> object:

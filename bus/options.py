@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from bus.link import ARBITRATED, SOCKETCAN, Link, check_channels, open_link
 from canskin.errors import InputError
 from shell.service import StopSignal
-from skin.layout import Layout
+from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX, Layout
 from skin.ranges import listed
 
 if TYPE_CHECKING:
@@ -49,6 +49,8 @@ class BusOptions:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channel", listed(self.channel))
+        options = [part for text in self.bus_option for part in re.split(r",(?=\w+=)", text)]
+        object.__setattr__(self, "bus_option", options)
 
 
 def channels(layout: Layout, options: BusOptions) -> list[str]:
@@ -63,6 +65,15 @@ def channels(layout: Layout, options: BusOptions) -> list[str]:
         raise InputError(f"expected {len(layout.bus)} channels, one per bus of the layout, got {len(names)}")
     check_channels(options.interface, names)
     return names
+
+
+def check_bit_rates(bitrate: int, data_bitrate: int | None) -> None:
+    """Check bit rates that no layout names, bit/s; no data bit rate, or 0: no CAN FD."""
+    if not BITRATE_MIN <= bitrate <= BITRATE_MAX:
+        raise InputError(f"expected a bit rate of {BITRATE_MIN} to {BITRATE_MAX} bit/s, got {bitrate}")
+    if data_bitrate and not bitrate <= data_bitrate <= DATA_BITRATE_MAX:
+        wanted = f"a data bit rate of {bitrate} (the bit rate) to {DATA_BITRATE_MAX} bit/s, or 0 for no CAN FD"
+        raise InputError(f"expected {wanted}, got {data_bitrate}")
 
 
 def virtual_bit_rates(layout: Layout) -> tuple[int, int]:

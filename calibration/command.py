@@ -169,7 +169,7 @@ def _check_written(action: Action, path: Path | None, out: Path | None) -> None:
         raise InputError("expected a file for the gains: --out FILE")
     written = {"gain": out, "save": path}.get(action)
     if written is not None:
-        check_output_path(written, "calibration")
+        check_output_path(written, "calibration", ".json")
 
 
 def _gateways(skin: Layout, of: SkinOptions) -> tuple[StoredCalibration, CalibrationStatus | None]:

@@ -16,6 +16,7 @@ from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load
 from skin.frontend import LEAST_FELT
 from skin.layout import Layout, require_sending
 from skin.measured_sums import decode_measurement
+from skin.ranges import require_above_zero
 from skin.text_tables import read_numbers
 
 
@@ -48,6 +49,7 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
         raise InputError(f"{path}: expected a recording ({RECORDING_SUFFIX}), or a table of gains (.csv)")
     if force_n is None:
         raise InputError("expected the force of the weight: --force-n NEWTONS")
+    require_above_zero("--force-n", force_n, taxels.force_max_n * taxels.count)
     if taxels.is_analogue and before is not None:
         raise InputError("--before is for nodes that take off gains: boards that make sums in hardware take off none")
     require_sending(skin, "synchronous", "a recording of a rolled weight is", "expected a table of gains (.csv)")

@@ -84,8 +84,6 @@ def find_gains(
     is_analogue : bool
         Sums have gains, too.
     """
-    if not (np.isfinite(force_n) and force_n > 0):
-        raise InputError(f"expected the force of the weight, a number of newtons above 0, got {force_n:g}")
     gains = np.ones(phi.shape[1])
     known = np.zeros(phi.shape[1], np.bool_)
     of_sums = SumGains(np.ones(phi.shape[0]), np.zeros(phi.shape[0])) if is_analogue else None

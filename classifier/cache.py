@@ -62,13 +62,13 @@ def find_or_train(
             return load_model(path, layout, phi)
         except ModelError as error:
             say("classifier", f"{error}; training another")
+    force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0, stroke=stroke)
     say(
         "classifier",
         f"training a model of this skin for {', '.join(objects)}: some seconds, sixteen objects a minute, this once",
     )
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
-    force_n, labels = load_touches(objects, TOUCHES_PER_OBJECT * len(objects), layout, seed=0, stroke=stroke)
     model = train(force_n, labels, layout, options=TrainingOptions(features=FEATURES[stroke], data=SIMULATED))
     try:
         keep_model(model, path)

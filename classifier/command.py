@@ -14,7 +14,7 @@ from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_
 from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
 from classifier.modelfile import load_model, read_model, save_model
 from classifier.used_sums import classified_phi
-from shell.output import check_output_path, write_file
+from shell.output import check_new_path, check_output_path, write_file
 from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
@@ -57,10 +57,8 @@ def classify(
     skin classify --objects paper
     skin classify --layout palm.toml --model palm.npz
     """
-    if model is not None and objects:
-        raise InputError("--model contains its objects: leave --objects out")
-    if model is not None and stroke is not None:
-        raise InputError("--model contains what it was trained on: leave --stroke out")
+    if model is not None and (objects or stroke is not None):
+        raise InputError("--model contains what it was trained on: leave --objects and --stroke out")
     if model is not None and not model.is_dir():
         read_model(model)  # before any wait for a hub
 
@@ -101,13 +99,13 @@ def train(
     *,
     layout: Path | None = None,
     objects: ObjectNames | None = None,
-    touches: int = 0,
+    touches: int | None = None,
     noise_n: float = NOISE_N,
     stroke: StrokeKind = "slide",
     features: Features | None = None,
     seed: int = 0,
     out: Path | None = None,
-    choose: int = 0,
+    choose: int | None = None,
     layout_out: Path | None = None,
     recordings: Annotated[list[Path] | None, Parameter(negative=())] = None,
     json: Json = False,
@@ -140,7 +138,7 @@ def train(
     choose
         Number of rows of Φ that separate the touches best, in place of the layout's; needs ``--layout-out``.
     layout_out
-        Layout file with the chosen rows: the model is for this layout.
+        New layout file with the chosen rows: the model is for this layout.
     recordings
         Recordings (.mcap), or folders of them, whose touches have labels (``skin record --label``, ``skin label``);
         needs ``--out``.
@@ -155,8 +153,10 @@ def train(
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     skin train --choose 64 --layout-out palm-64.toml --features sums
     """
+    if out is not None:
+        check_output_path(out, "model", ".npz")
     if recordings is not None:
-        if objects or touches or choose or layout_out:
+        if objects or (touches or choose or layout_out) is not None:
             raise InputError(
                 "--recordings contain their objects and touches: leave --objects, --touches, --choose, --layout-out out"
             )
@@ -164,17 +164,13 @@ def train(
         return
     skin = load_layout(layout)
     names = _named(objects)
-    if touches < 0 or seed < 0:
-        raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
-    if out is not None:
-        check_output_path(out, "model", ".npz")
-    if (choose != 0) != (layout_out is not None):
+    count = TOUCHES_PER_OBJECT * len(names) if touches is None else touches
+    if count < 1 or seed < 0:
+        raise InputError(f"expected --touches of 1 or more and --seed of 0 or more, got {count} and {seed}")
+    if (choose is None) != (layout_out is None):
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
-        check_output_path(layout_out, "layout", ".toml")
-        if layout is not None and layout_out.exists() and layout_out.samefile(layout):
-            raise InputError(f"{layout_out}: is the layout that rows are chosen for; give --layout-out another name")
-    count = touches or TOUCHES_PER_OBJECT * len(names)
+        check_new_path(layout_out, "layout", ".toml")
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)
     path = out or cached_path(skin, classified_phi(skin), names, stroke)
@@ -201,7 +197,6 @@ def _train_recorded(
 
     if out is None:
         raise InputError("--recordings: expected --out FILE for the model, for 'skin classify --model FILE'")
-    check_output_path(out, "model", ".npz")
     with progress("reading recordings", 1.0) as bar:
         data = labelled_touches(recordings, layout, noise_n=noise_n, seed=seed)
         model = train_recorded(
@@ -227,14 +222,14 @@ def _train(
     *,
     noise_n: float,
     seed: int,
-    choose: int,
+    choose: int | None,
 ) -> tuple[Layout, Model]:
     """Train with a progress bar on a terminal's stderr; return layout and model, the layout with the chosen rows."""
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     with progress("drawing touches", 1.2) as bar:
         force_n, labels = load_touches(names, count, skin, seed=seed, stroke=stroke)
-        if choose:
+        if choose is not None:
             from classifier.rows import with_chosen_rows
 
             skin = with_chosen_rows(skin, force_n, labels, choose, noise_n=noise_n, seed=seed)

@@ -156,7 +156,7 @@ def recordings_in(given: Iterable[Path]) -> list[Path]:
         paths += found
     if not paths:
         raise InputError("no recording named: expected one or more, or a folder of them")
-    return paths
+    return list({path.resolve(): path for path in paths}.values())  # a run that is named twice is one run
 
 
 class _Reader:

@@ -14,10 +14,11 @@ from commissioning.node_frames import NodeReport
 from commissioning.node_options import NodeOptions, lead
 from commissioning.talk import TURN_S
 from dbc.contract import Contract
-from shell.output import write_file
+from shell.output import check_output_path, write_file
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json
 from skin.layout import Layout, require_boards
+from skin.ranges import require_above_zero, require_number
 
 if TYPE_CHECKING:
     from commissioning.count_reading import CountReading
@@ -72,6 +73,8 @@ def check(
     if live is not None:
         if (of.node or of.bus) is not None:
             raise InputError("expected --node and --bus of a board, or --live of the whole skin, got both")
+        require_above_zero("--live", live)
+        require_number("--rest", rest)
         return _check_wiring(skin, can, live, rest, path=path, out=out, as_json=json)
     if (path or out) is not None:
         raise InputError("expected --path and --out with --live alone")
@@ -114,9 +117,12 @@ def _check_wiring(
     as_json: bool,
 ) -> int:
     """Print what is not wired as the layout says, and write the corrected file."""
-    from commissioning.wiring_check import chains_file, check_counts, corrected_order, text_of
+    from commissioning.wiring_check import chains_file, check_counts, corrected_order, finger_path, text_of
 
-    findings: list[Finding] = check_counts(skin, _read_counts(skin, can, stroke_s, rest_s), path)
+    finger = None if path is None else finger_path(path)  # before a person strokes the skin
+    if out is not None:
+        check_output_path(out, "wiring", ".csv")
+    findings: list[Finding] = check_counts(skin, _read_counts(skin, can, stroke_s, rest_s), finger)
     if as_json:
         print_json([{**dataclasses.asdict(each), "text": text_of(each)} for each in findings])
     else:

@@ -16,6 +16,7 @@ from dbc.contract import Contract
 from shell.service import StopSignal
 from shell.terminal import Json, print_json, print_table
 from skin.layout import Layout
+from skin.ranges import listed
 
 
 def objects(*parts: str, of: NodeOptions | None = None, eds: Path | None = None, json: Json = False) -> int:
@@ -41,7 +42,10 @@ def objects(*parts: str, of: NodeOptions | None = None, eds: Path | None = None,
         of = replace(of, bus=of.bus or skin.bus[0].name)
         of = replace(of, node=skin.bus[of.bus_number(skin)].ids[0])
     known = _known(skin, of, eds)
-    _show([each for each in known if all(part.lower() in each.name.lower() for part in parts)], {}, as_json=json)
+    found = [each for each in known if all(part.lower() in each.name.lower() for part in parts)]
+    if not found:
+        raise InputError(f"no object has {' and '.join(parts)} in its name: name less of it")
+    _show(found, {}, as_json=json)
     return 0
 
 
@@ -121,7 +125,7 @@ def _transfer(
     is_other = eds is not None and of.bus is None and len(can.channel) == 1
     number = 0 if is_other else of.bus_number(skin)
     writes = parse_writes(known, texts) if verb == "set" else []
-    reads = [entry for entry, _ in writes] or [each for text in texts for each in find(known, text)]
+    reads = [entry for entry, _ in writes] or [each for text in listed(texts) for each in find(known, text)]
     stop, name = StopSignal().install(), f"node {verb}"
     if is_other:
         (link,) = open_channels(can, skin.bus[0].bitrate, skin.bus[0].data_bitrate, name=name).values()

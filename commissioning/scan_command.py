@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from bus.link import Link
-from bus.options import BusOptions, closing_links, open_channels, open_links
+from bus.options import BusOptions, check_bit_rates, closing_links, open_channels, open_links
 from canskin.errors import InputError, RunError
 from commissioning.scan import Scan
 from commissioning.talk import take_turn
@@ -72,7 +72,8 @@ def scan(
         links = {lines[number].name: link for number, link in open_links(skin, options, sends=not listen).items()}
         rates = {line.name: line.bitrate for line in lines}
     else:
-        bitrate = bitrate or BITRATE_MAX
+        bitrate = BITRATE_MAX if bitrate is None else bitrate
+        check_bit_rates(bitrate, data_bitrate)
         links = open_channels(options, bitrate, data_bitrate, name="scan", sends=not listen)
         rates = dict.fromkeys(links, bitrate)
     with closing_links(links):

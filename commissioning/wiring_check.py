@@ -20,28 +20,34 @@ from skin.text_tables import read_table
 _PATH: Final = ("time_s", "x_m", "y_m", "z_m")
 
 
-def check_counts(layout: Layout, reading: CountReading, path: Path | None) -> list[Finding]:
+def check_counts(layout: Layout, reading: CountReading, finger: Floats | None) -> list[Finding]:
     """Return what is not wired as the layout says, by the counts of the boards.
 
     Parameters
     ----------
-    path : pathlib.Path or None
-        CSV: where the finger is, seconds after the first reading.
+    finger : array, shape (moments, 4), or None
+        Of `finger_path`.
     """
     times_s, counts = reading.readings()
-    path_m = None if path is None else _path(path, times_s)
+    path_m = None if finger is None else np.stack([np.interp(times_s, finger[:, 0], each) for each in finger.T[1:]], 1)
     return findings_of(layout.phi(), layout.taxels.surface, counts, path_m, reading.rest)
 
 
-def _path(path: Path, times_s: Floats) -> Floats:
-    """Return where the finger is at some times, shape (times, 3)."""
+def finger_path(path: Path) -> Floats:
+    """Return where a finger is, of a CSV: seconds after the first reading, x, y, z in metres, shape (moments, 4).
+
+    Raises
+    ------
+    LayoutError, InputError
+        If the file is no such table.
+    """
     found = read_table(path, "path", _PATH)
     if not found.columns.keys() >= set(_PATH) or not found.rows:
         raise InputError(f"{path}: expected the header {','.join(_PATH)} and a line for each moment")
     table = np.array([found.numbers(row, _PATH) for row in found.rows])
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputError(f"{path}: expected finite numbers, and times that ascend")
-    return np.stack([np.interp(times_s, table[:, 0], table[:, axis]) for axis in (1, 2, 3)], axis=1)
+    return table
 
 
 def text_of(finding: Finding) -> str:

@@ -7,7 +7,6 @@ from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
 from calibration.keeping import kept_zero
 from canskin.calibration_messages import CALIBRATION, ZERO
-from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
@@ -15,6 +14,7 @@ from gateway.calibration import GatewayCalibration
 from gateway.duty import Duties
 from gateway.service import GatewayService
 from gateway.stepped_gathering import publishing_rates
+from shell.output import check_output_path
 from shell.pulse import Pulse
 from shell.service import RateLimitedLog, StopSignal, say
 from shell.skin_options import Insecure, check_listen, join
@@ -84,8 +84,8 @@ def gateway(
     if (calibration or keep_zero) is not None:
         option = "--calibration" if calibration is not None else "--keep-zero"
         require_sending(skin, "synchronous", f"{option} is", "stepped boards measure their own offsets")
-    if keep_zero is not None and keep_zero.suffix != ".json":
-        raise InputError(f"{keep_zero}: expected a file for the zero that ends in .json: it is written over")
+    if keep_zero is not None:
+        check_output_path(keep_zero, "zero", ".json")
     stored = None if calibration is None else load_calibration(calibration, skin)
     if stored is not None:
         stored.required_offsets_n(str(calibration))

@@ -99,6 +99,8 @@ class NmtMaster:
         self.strangers = Strangers(send)
         self.emergencies, self.recalibrated = self._bus.emergencies, self._bus.recalibrated
         self._is_new = True
+        #: Of the newest look at times.
+        self._limit_s = np.inf
         self._quiet_since_s = -np.inf
 
     @property
@@ -181,10 +183,15 @@ class NmtMaster:
         if self._is_new and self._bus.in_steps:
             self.restart(now_s)
         self._is_new = False
-        limit_s = self.proof_limit_s
-        for node in self.nodes.values():
-            node.tick(limit_s, now_s)
-        self._proofs.begin_due(now_s)
+        due = [node for node in self.nodes.values() if now_s >= node.due_s]
+        if due:
+            limit_s = self.proof_limit_s
+            if limit_s < self._limit_s:
+                due = [*self.nodes.values()]
+            self._limit_s = limit_s
+            for node in due:
+                node.tick(limit_s, now_s)
+            self._proofs.begin_due(now_s)
         self._proofs.prove_in_turn(now_s)
         self._start_again(now_s)
         self._lines.tick(now_s)

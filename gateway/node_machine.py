@@ -169,6 +169,8 @@ class NodeMachine:
     heard_s, emcy_s, used_since_s, commanded_s, began_s : float
         Times of the newest heartbeat, the newest active emergency, the newest start of use, the gateway's newest NMT
         start, and the beginning of the newest proof.
+    due_s : float
+        When `tick` has something to do, or a proof is to begin, if nothing happens before.
     refusal : str
         Why the node is refused; empty in the other states.
     unanswered : str
@@ -212,6 +214,7 @@ class NodeMachine:
     errand: SdoDialogue | None = None
     began_s: float = -np.inf
     prove_at_s: float = 0.0
+    due_s: float = -np.inf
     twice_s: float = -np.inf
     alone_s: float = -np.inf
     #: Transfers of the last proof.
@@ -269,6 +272,8 @@ class NodeMachine:
             self._happen(Event.LEFT, now_s, why)
             return
         self.nmt = state
+        if self.refusal:
+            self.due_s = now_s  # it may run
         if was_silent:
             self._happen(Event.HEARD, now_s)
 
@@ -294,6 +299,7 @@ class NodeMachine:
 
     def take_answer(self, data: bytes, now_s: float) -> bool:
         """Use an SDO answer; tell whether it belongs to a proof."""
+        self.due_s = now_s
         if self.foreign.take_answer(data):
             if (asking := self.dialogue or self.errand) is not None:
                 asking.ask_again(data, now_s)
@@ -313,6 +319,7 @@ class NodeMachine:
 
     def take_foreign_request(self, data: bytes, now_s: float) -> None:
         """Use an SDO request of another master."""
+        self.due_s = now_s
         effect = self.foreign.take(data, now_s)
         if effect is Effect.DOUBT:
             self.known.doubt()
@@ -334,6 +341,7 @@ class NodeMachine:
         """Take note that frames of a cycle have come twice with other sums: those of two boards."""
         is_again, self.twice_s = now_s - self.twice_s <= TOGETHER_S, now_s
         if is_again:
+            self.due_s = now_s
             is_new, self.alone_s = now_s >= self.alone_s, now_s + TWICE_S
             if is_new:
                 self._happen(Event.TWICE, now_s, "is there twice: its sums come twice, and differ")
@@ -349,12 +357,25 @@ class NodeMachine:
         if self.errand is not None:
             self.errand.tick(now_s)
             self._end_errand()
+        self._find_due(limit_s)
+
+    def _find_due(self, limit_s: float) -> None:
+        due_s = [each.due_s for each in (self.dialogue, self.errand) if each is not None]
+        if self.dialogue is None:
+            due_s.append(max(self.prove_at_s, self.alone_s, self.foreign.free_s))
+        if self.nmt != SILENT:
+            due_s.append(self.heard_s + SILENT_AFTER_S)
+        if self.in_use:
+            due_s.append(self.proven_s + limit_s)
+        if self.in_use and self.tries:
+            due_s.append(self.used_since_s + STABLE_S)
+        self.due_s = min(due_s)
 
     def ask(self, steps: Dialogue, now_s: float) -> SdoDialogue | None:
         """Begin a dialogue with a node in use, one attempt for each transfer; None while its SDO channel is busy."""
         if not self.in_use or not self.is_free or now_s < self.foreign.free_s:
             return None
-        self.errand = self._dialogue(steps, now_s, attempts=1)
+        self.errand, self.due_s = self._dialogue(steps, now_s, attempts=1), now_s
         return self.errand
 
     def take_replugged(self, now_s: float) -> None:
@@ -367,6 +388,7 @@ class NodeMachine:
 
     def expect_start(self, now_s: float) -> None:
         """Ignore other states until the node's start command was on the bus."""
+        self.due_s = now_s
         self.started_ns, self.commanded_s = None, now_s
         self.nmt, self.heard_s = NmtState.OPERATIONAL, now_s
 
@@ -424,6 +446,7 @@ class NodeMachine:
         if found is None:
             return
         act, self.state = found
+        self.due_s = now_s
         if act in {NodeMachine._stop_using, NodeMachine._tell}:
             is_away = self.contract.is_optional and event is Event.LOST
             self.loss = NodeFault(Fault.AWAY if is_away else _FAULTS[event], why)

@@ -55,8 +55,8 @@ def contract(
     layout
         TOML of the skin; without it the default skin.
     out
-        Folder for the files, or of the files to check; default of ``--check`` without a layout: the files of the
-        project. With ``--program`` the new file.
+        Folder for the files, new or of an earlier run, or of the files to check; default of ``--check`` without a
+        layout: the files of the project. With ``--program`` the new file.
     check
         Compare the files with the layout; files of nodes and test vectors where their folders are.
     firmware
@@ -95,7 +95,9 @@ def contract(
         lines = _drifted(Contract.from_layout(skin), out or DEFAULT_FOLDER)
     elif out is not None:
         tell_shared(skin, "contract")
-        lines = [str(path) for path in write_files(_files(Contract.from_layout(skin), node, firmware=firmware), out)]
+        files = _files(Contract.from_layout(skin), node, firmware=firmware)
+        _check_own(out, files)
+        lines = [str(path) for path in write_files(files, out)]
     if json:
         print_json(lines)
     else:
@@ -108,6 +110,13 @@ def _files(skin: Contract, names: list[str] | None, *, firmware: bool) -> Mappin
         return contract_files(skin) | node_files(skin) | vector_files(skin)
     chosen = choose_nodes(skin, names or [], [])
     return export_files(skin, [each for each in skin.nodes if each.node_id in chosen.get(each.bus, ())])
+
+
+def _check_own(folder: Path, files: Mapping[str, str]) -> None:
+    """Check that a folder has nothing that would be written over, unless an earlier run has written there."""
+    there = [name for name in files if (folder / name).exists()]
+    if there and there[0] != next(iter(files)):
+        raise InputError(f"{folder}: has a {there[0]} that 'skin contract' did not write: expected a new folder")
 
 
 def _drifted(skin: Contract, folder: Path) -> list[str]:

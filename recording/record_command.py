@@ -88,6 +88,7 @@ def record(
         require_above_zero("--seconds", seconds)
     stop, of, bus = StopSignal().install(), of or SkinOptions(), bus or BusOptions()
     check_new_path(out, "recording")
+    check_format(out)
     name = None if label is None else check_label(label.strip())
     _check_kept(out, "--label", name is not None)
     _check_kept(out, "--no-frames", not frames)

@@ -228,7 +228,7 @@ def open_sinks(path: Path, contracts: Sequence[Contract]) -> Sequence[Sink]:
     return [sink, *more]
 
 
-def check_format(path: Path, layout: Layout) -> None:
+def check_format(path: Path, layout: Layout | None = None) -> None:
     """Check that `path` names a format, and that a log of this format holds the frames of all buses of a layout."""
     if is_recording(path):
         return
@@ -240,6 +240,8 @@ def check_format(path: Path, layout: Layout) -> None:
             f"{path}: expected a file that ends in {RECORDING_SUFFIX}, or, for frames alone, in one of "
             f"{', '.join(sorted(MESSAGE_WRITERS))}"
         )
+    if layout is None:
+        return
     buses = len(layout.bus)
     if suffix in WITHOUT_CHANNELS and buses > 1:
         raise InputError(f"{path}: a {suffix} log does not tell the buses apart, this skin has {buses}: choose another")

@@ -13,7 +13,7 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
 from canskin.errors import InputError, RunError, SkinError, Stopped
 from canskin.keys import ENVIRONMENT
@@ -110,7 +110,9 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         version=lambda: version("canskin"),
         version_flags=["--version"],
         # A list takes every value up to the next option; empty defaults are not shown.
-        default_parameter=cyclopts.Parameter(consume_multiple=(1, None), negative_iterable=(), show_default=_default),
+        default_parameter=cyclopts.Parameter(
+            consume_multiple=(1, None), negative_iterable=(), show_default=_default, converter=_converted
+        ),
         result_action="return_value",
         exit_on_error=False,
         print_error=False,
@@ -134,7 +136,7 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
 
     @app.meta.default
     def launch(
-        *tokens: Annotated[str, cyclopts.Parameter(show=False, allow_leading_hyphen=True)],
+        *tokens: Annotated[str, cyclopts.Parameter(show=False, allow_leading_hyphen=True, converter=cyclopts.convert)],
         verbose: Annotated[bool, cyclopts.Parameter(alias="-v", group=everywhere, negative=())] = False,
         quiet: Annotated[bool, cyclopts.Parameter(alias="-q", group=everywhere, negative=())] = False,
         log_json: Annotated[bool, cyclopts.Parameter(group=everywhere, negative=())] = False,
@@ -197,6 +199,19 @@ def examples(text: str) -> str:
     return "\\\n".join(["Examples:", *(f"`{line}`" for line in lines if line)]) if heading else ""
 
 
+def _converted(hint: Any, tokens: Sequence["cyclopts.Token"]) -> object:
+    """Convert the words of an option. cyclopts would take no text for a value, and round a fraction."""
+    import cyclopts
+
+    for token in tokens:
+        name = f"{token.keyword}: " if token.keyword else ""
+        if token.implicit_value is cyclopts.UNSET and not token.value.strip():
+            raise InputError(f"{name}expected a value, got an empty text, as of a shell's variable that is not set")
+        if int in (hint, *get_args(hint)) and "." in token.value:
+            raise InputError(f"{name}expected a whole number, got '{token.value}'")
+    return cyclopts.convert(hint, tokens)
+
+
 def _default(value: object) -> str | None:
     """Return the text of a default in the help; None for flags and empty defaults."""
     return None if value is None or isinstance(value, bool) or value in ("", [], ()) else str(value)
@@ -225,7 +240,7 @@ def _run(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
     except RunError as error:
         return _complain(error, FAILED)
-    except (SkinError, cyclopts.CycloptsError) as error:
+    except (SkinError, cyclopts.CycloptsError, MemoryError) as error:
         return _complain(_in_words(error), WRONG_INPUT)
     except Stopped:
         return 0
@@ -238,10 +253,12 @@ def _run(arguments: Sequence[str]) -> int:
     return status if isinstance(status, int) else 0
 
 
-def _in_words(error: "SkinError | cyclopts.CycloptsError") -> Exception | str:
+def _in_words(error: "SkinError | cyclopts.CycloptsError | MemoryError") -> Exception | str:
     """Tell what a verb takes where a word is one too many, or its first word is missing."""
     import cyclopts
 
+    if isinstance(error, MemoryError):
+        return f"the memory of this machine is too small for that: expected smaller numbers: {error}"
     if isinstance(error, SkinError):
         return error
     verb = " ".join(error.command_chain or ())

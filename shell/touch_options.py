@@ -95,8 +95,8 @@ class TouchOptions:
         for flag, value in (("--array", self.array), ("--full-scale", self.full_scale), ("--rate", self.rate)):
             if self.input is None and value not in ([], None):
                 raise InputError(f"{flag} is for a recording: give one with --input")
-        if self.input is not None and self.stroke != "slide":
-            raise InputError("--stroke is for objects: a recording shows its own touches")
+        if self.input is not None and (self.objects or self.stroke != "slide"):
+            raise InputError("--objects and --stroke are for the simulator: a recording shows its own touches")
 
     def source(self, layout: Layout, rest_s: float = 0.0) -> TaxelSource:
         """Return the touch on a skin; simulated objects wait for `rest_s`."""

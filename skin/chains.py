@@ -50,13 +50,10 @@ def read_chains(path: Path, columns: int) -> list[list[int]]:
             raise LayoutError(f"{path}: expected the header {_HEADER}, got {_got(names)}")
         found = _Boards()
         for row in table.rows:
-            taxel = _whole(row, "taxel") if "taxel" in names else _whole(row, "row") * columns
-            if "taxel" not in names:
-                column = _whole(row, "column")
-                if column >= columns:
-                    raise LayoutError(f"{row.where}: expected columns below {columns}, got {column}")
-                taxel += column
-            found.read(row, taxel)
+            if "taxel" in names:
+                found.read(row, _whole(row, "taxel"))
+            else:
+                found.read(row, _whole(row, "row") * columns + _whole(row, "column", columns - 1))
         return found.chains()
 
 
@@ -149,13 +146,13 @@ def chains_of(places: Sequence[tuple[int, int]]) -> list[list[int]]:
     return boards.chains()
 
 
-def _whole(row: Row, name: str) -> int:
-    limits = f"whole numbers from 0 to {MOST}"
+def _whole(row: Row, name: str, most: int = MOST) -> int:
+    limits = f"whole numbers from 0 to {most}"
     try:
         value = int(row.values[name])
     except ValueError as error:
         raise LayoutError(f"{row.where}: expected {limits} as {name}: {error}") from error
-    if not 0 <= value <= MOST:
+    if not 0 <= value <= most:
         raise LayoutError(f"{row.where}: expected {limits} as {name}, got {value}")
     return value
 

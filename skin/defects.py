@@ -66,6 +66,8 @@ class Stage(IntEnum):
 
 #: Stages at which a skin without touch no longer reads zero.
 ZERO_STAGES: Final = (Stage.OFFSET, Stage.DRIFT, Stage.SUM_OFFSET)
+#: Stages whose amounts are newtons, or newtons a second, up to the range of a taxel or of a sum.
+_NEWTON_STAGES: Final = (Stage.DRIFT, Stage.SUM_OFFSET, Stage.SUM_NOISE)
 
 
 class SumGains(NamedTuple):
@@ -287,7 +289,7 @@ class Kind(NamedTuple):
 
 #: Kind by name; options write a hyphen for the underscore. Defects of one stage act in this order.
 KINDS: Final = {
-    "damper": Kind(Stage.SPEED, _damper, "damping_n_s_per_m", 0.01, math.inf),
+    "damper": Kind(Stage.SPEED, _damper, "damping_n_s_per_m", 0.01, 100.0),
     "creep": Kind(Stage.MEMORY, _creep, "ratio", 0.05),
     "cross_talk": Kind(Stage.FORCE, _cross_talk, "ratio", 0.1),
     "gain_spread": Kind(Stage.FORCE, _gain_spread, "deviation", 0.1, stream=0),
@@ -418,7 +420,7 @@ def parse_defects(kinds: Iterable[str], drifts: Iterable[str], seed: int, layout
     Parameters
     ----------
     kinds : iterable of str
-        Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; the last amount of a kind counts.
+        Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; a kind once.
     drifts : iterable of str
         As for `skin.zero_drift.parse_drifts`.
     seed : int
@@ -436,8 +438,13 @@ def parse_defects(kinds: Iterable[str], drifts: Iterable[str], seed: int, layout
             raise InputError(f"--defect {text}: expected KIND or KIND=AMOUNT with KIND of {known}")
         if KINDS[kind].stage.is_of_sums and not layout.taxels.is_analogue:
             raise InputError(f'--defect {text}: expected a layout with taxels.frontend = "analogue"')
+        if kind in made:
+            raise InputError(f"--defect {text}: expected each kind once")
         try:
             made[kind] = Defect(kind, float(amount) if given else KINDS[kind].default, seed)
+            if (stage := KINDS[kind].stage) in _NEWTON_STAGES:
+                most_n = layout.taxels.force_max_n * (layout.measurement.block_size if stage.is_of_sums else 1)
+                require_number(f"{name}: {KINDS[kind].amount}", made[kind].amount, most_n)
         except InputError as error:
             raise InputError(f"--defect {error}") from error
         except ValueError:

@@ -246,7 +246,7 @@ def _check(robot: ET.Element) -> None:
 
 def _taxels(sensor: ET.Element, of_parent: RigidTransform, name: str, told: list[str]) -> Floats:
     """Return place and normal of each taxel of a sensor, shape (taxels, 6), in the order of its data."""
-    frame = of_parent * _pose(sensor.find("origin"))
+    frame = of_parent * RigidTransform.from_matrix(_steps([sensor])[0])
     found = [np.zeros((0, 6))]
     for tactile in sensor.iter("tactile"):
         array, taxels = tactile.find("array"), tactile.findall("taxel")
@@ -293,7 +293,7 @@ class _Links:
         named = {_named(each, "parent", "link") for each in (*joints, *robot.iter("sensor"))}
         if missing := (named | self._joints.keys()) - links:
             raise ValueError(f"no link '{min(missing)}'")
-        self._poses: dict[str, RigidTransform] = {}
+        self._poses: dict[str, Floats] = {}
 
     def pose(self, link: str) -> RigidTransform:
         """Return the pose of a link."""
@@ -303,14 +303,16 @@ class _Links:
             link = _named(self._joints[link], "parent", "link")
             if len(way) > len(self._joints):
                 raise ValueError(f"the joints of link '{link}' are a loop: expected a tree")
-        pose = self._poses.get(link, RigidTransform.identity())
-        for link, joint in reversed(way):
-            pose = self._poses[link] = pose * _pose(joint.find("origin"))
-        return pose
+        pose = self._poses.get(link, np.eye(4))
+        for (link, _), step in zip(way[::-1], _steps([joint for _, joint in way])[::-1], strict=True):
+            pose = self._poses[link] = pose @ step
+        return RigidTransform.from_matrix(pose)
 
 
-def _pose(origin: ET.Element | None) -> RigidTransform:
-    return RigidTransform.identity() if origin is None else _poses([origin])[0]
+def _steps(placed: Sequence[ET.Element]) -> Floats:
+    """Return the transforms from joints or sensors to their parents, shape (placed, 4, 4)."""
+    origins = [next(iter(each.findall("origin")), ET.Element("origin")) for each in placed]
+    return _poses(origins).as_matrix() if origins else np.empty((0, 4, 4))
 
 
 def _poses(origins: Sequence[ET.Element]) -> RigidTransform:

@@ -650,5 +650,6 @@ def skip_pauses(world: World) -> None:
         for each in master.nodes.values():
             if not each.in_use:
                 assert each.prove_at_s <= world.now_s + LATER_S
-                each.prove_at_s, each.tries = min(each.prove_at_s, world.now_s), 0
+                each.prove_at_s = each.due_s = min(each.prove_at_s, world.now_s)
+                each.tries = 0
                 each.alone_s = min(each.alone_s, world.now_s)

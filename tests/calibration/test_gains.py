@@ -244,9 +244,7 @@ def test_taxels_and_sums_that_feel_less_than_three_tenths_are_named() -> None:
     assert defects_of(Gains(found, known, 100), PHI, SURFACE) == words[:2]
 
 
-def test_too_few_cycles_or_no_force_are_refused(gains: np.ndarray) -> None:
+def test_too_few_cycles_are_refused(gains: np.ndarray) -> None:
     sums, images = felt(gains)
     with pytest.raises(InputError, match="in 0 cycles, expected 100 or more"):
         find_gains(PHI, SURFACE, sums[:20], images[:20], WHOLE_N)
-    with pytest.raises(InputError, match="above 0, got -1"):
-        find_gains(PHI, SURFACE, sums, images, -1.0)

@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -104,7 +105,7 @@ def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path
     with pytest.raises(InputError, match="another name"):
         train(layout=small, objects=["dome", "plate"], choose=8, layout_out=small)
     with pytest.raises(InputError, match=r"expected a file for the layout that ends in \.toml, got '\.npz'"):
-        train(layout=small, objects=["dome", "plate"], choose=8, layout_out=out, out=out)
+        train(layout=small, objects=["dome", "plate"], choose=8, layout_out=tmp_path / "rows.npz")
 
 
 @pytest.mark.usefixtures("trained")
@@ -201,19 +202,36 @@ def test_options_that_recordings_do_not_take(tmp_path: Path) -> None:
 
 
 def test_wrong_options(small: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--touches -1"):
-        train(layout=small, touches=-1)
     with pytest.raises(InputError, match="the folder for the model does not exist"):
         train(layout=small, out=tmp_path / "none" / "m.npz")
     assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match=r"expected a file for the model that ends in \.npz, got '\.txt'"):
         train(layout=small, out=tmp_path / "m.txt")
-    with pytest.raises(InputError, match="leave --objects out"):
+    with pytest.raises(InputError, match="leave --objects and --stroke out"):
         classify(of=SkinOptions(layout=small), model=tmp_path / "x.npz", objects=["ring"])
-    with pytest.raises(InputError, match="leave --stroke out"):
+    with pytest.raises(InputError, match="leave --objects and --stroke out"):
         classify(model=Path("palm.npz"), stroke="press")
     with pytest.raises(ModelError, match="cannot read the model"):
         classify(model=tmp_path / "x.npz")  # before it looks for a hub
+
+
+def test_of_several_skins_each_has_its_model_or_is_left_out(
+    small: Path, model: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finds: list[Callable[..., Model]] = []
+    monkeypatch.setattr("classifier.command.serve_skins", lambda _service, _of, serve: finds.append(serve.args[0]))
+    skin, models = load_layout(small), tmp_path / "models"
+    models.mkdir()
+    save_model(model, models / f"{skin.name}.npz")
+    for folder in (None, models):
+        classify(model=folder)
+    without, with_folder = finds
+    assert with_folder(skin, is_only=False).metadata == model.metadata
+    with pytest.raises(ModelError, match=r"other\.npz: cannot read"):
+        with_folder(msgspec.structs.replace(skin, name="other"), is_only=False)
+    monkeypatch.setenv("SKIN_CACHE", str(tmp_path))
+    with pytest.raises(InputError, match="it has no model: train one"):
+        without(skin, is_only=False)
 
 
 @pytest.fixture

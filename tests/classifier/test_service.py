@@ -13,7 +13,7 @@ from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
 from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
-from classifier.service import ClassifierService, most_waiting
+from classifier.service import ClassifierService, make_service, most_waiting
 from classifier.settling import Decision
 from shell.service import StopSignal
 from skin.layout import Layout, Sync
@@ -143,6 +143,22 @@ def test_after_a_pause_the_newest_measurements_that_waited_get_labels(measuremen
         exchange.mailboxes[0].put(msgspec.structs.replace(measurement, cycle=cycle))
     service.run(stop)
     assert [each.cycle for each in exchange.messages] == list(range(10, 30))
+
+
+@pytest.mark.parametrize(
+    ("duty", "cycles"), [("classifier=1", [1, 2]), ("classifier=2", [2]), ("reconstructor=2", [1, 2])]
+)
+def test_a_classifier_that_is_not_named_makes_the_label_and_keeps_it(
+    measurement: Measurement, layout: Layout, duty: str, cycles: list[int]
+) -> None:
+    stop = StopSignal()
+    exchange = Waiting(stop, last=2)
+    service = make_service(Timed(), layout, exchange, "1")  # type: ignore[arg-type]
+    for cycle, named in enumerate((duty, "classifier=1"), 1):
+        exchange.mailboxes[0].put(msgspec.structs.replace(measurement, cycle=cycle, duty=named))
+    service.run(stop)
+    assert [each.cycle for each in exchange.messages] == cycles
+    assert exchange.messages[-1].number == 2
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(1, 4), (100, 4), (200, 8), (500, 20), (1000, 40)])

@@ -11,7 +11,7 @@ from canskin.errors import InputError, RunError
 from commissioning.count_reading import CountReading
 from commissioning.node_check_command import check
 from commissioning.node_options import NodeOptions
-from commissioning.wiring_check import check_counts
+from commissioning.wiring_check import check_counts, finger_path
 from commissioning.wiring_findings import Finding
 from dbc.configuration import DIALOGUES
 from dbc.contract import Contract
@@ -72,7 +72,7 @@ class Stroked(Skin):
         lines = ["time_s,x_m,y_m,z_m"]
         lines += [",".join(map(str, (each[0] - self.begin_s, *each[1:]))) for each in self.places]
         (folder / "finger.csv").write_text("\n".join(lines), encoding="utf-8")
-        return check_counts(self.contract.layout, reading, folder / "finger.csv")
+        return check_counts(self.contract.layout, reading, finger_path(folder / "finger.csv"))
 
 
 def smooth(layout: Layout, steps: int) -> Floats:

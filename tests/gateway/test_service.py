@@ -4,6 +4,7 @@ import socket
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from gateway.calibration import GatewayCalibration
 from gateway.collector import Collector
+from gateway.duty import Duties
 from gateway.frozen_boards import FROZEN
 from gateway.service import GatewayService
 from shell.service import StopSignal
@@ -102,12 +104,16 @@ class Fabric(Published):
 class Served:
     """A service on such links, and its clock."""
 
-    def __init__(self, contract: Contract, calibration: GatewayCalibration | None = None) -> None:
+    def __init__(
+        self, contract: Contract, calibration: GatewayCalibration | None = None, duties: Duties | None = None
+    ) -> None:
         self.clock = Clock()
         self.fabric = Fabric(self.clock)
         self.links = [Echoing(self.clock) for _ in contract.layout.bus]
         links = dict(enumerate(self.links))
-        self.service = GatewayService(contract, links, self.fabric, calibration=calibration, clock=self.clock)
+        self.service = GatewayService(
+            contract, links, self.fabric, calibration=calibration, duties=duties, clock=self.clock
+        )
         self.loop = self.service.loop
 
     def turn(self, seconds: float) -> None:
@@ -136,6 +142,18 @@ def served(small: Contract) -> Iterator[Served]:
         built.turn(0.02)
     yield built
     for link in built.links:
+        link.close()
+
+
+def test_each_measurement_names_who_publishes(small: Contract) -> None:
+    duties = mock.Mock(words="reconstructor=b")
+    served = Served(small, duties=duties)
+    while not served.fabric.of(Measurement):
+        served.turn(0.02)
+    assert {each.duty for each in served.fabric.of(Measurement)} == {"reconstructor=b"}
+    assert duties.turn.called
+    assert duties.sent.called
+    for link in served.links:
         link.close()
 
 

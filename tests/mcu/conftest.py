@@ -3,12 +3,12 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
 from dbc.contract import Contract
-from skin.layout import Layout, layout_text
+from skin.layout import layout_text
 from tests.layouts import STEPPED, buses, small_layout
 from tests.mcu.build import BOARDS, Images, build
 from tests.mcu.machine import Machine
@@ -16,14 +16,15 @@ from tests.mcu.sizes import TABLE
 
 GIVEN: Final = "SKIN_MCU" in os.environ
 RATE: Final = {"rate_hz": 20.0}
+PATCH: Final[dict[str, Any]] = STEPPED | {"measurement": {"wiring": "board", "block_size": 32}}
+BUSES: Final[dict[str, Any]] = {
+    "classic": {"bus": buses(BOARDS)},
+    "fd": {"bus": buses(BOARDS, blocks_per_node=4, fd=True, data_bitrate=5_000_000)},
+}
 LAYOUTS: Final = {
-    "classic": lambda: small_layout(8, 12, name="mcu", sync=RATE, bus=buses(BOARDS)),
-    "fd": lambda: small_layout(
-        *(16, 24), name="mcu", sync=RATE, bus=buses(BOARDS, blocks_per_node=4, fd=True, data_bitrate=5_000_000)
-    ),
-    "steps": lambda: small_layout(
-        *(8, 12), name="mcu", **STEPPED | {"measurement": {"wiring": "board", "block_size": 32}}, bus=buses(BOARDS)
-    ),
+    "classic": small_layout(8, 12, name="mcu", sync=RATE, **BUSES["classic"]),
+    "fd": small_layout(16, 24, name="mcu", sync=RATE, **BUSES["fd"]),
+    "steps": small_layout(8, 12, name="mcu", **PATCH, **BUSES["classic"]),
 }
 
 collect_ignore_glob = [] if GIVEN else ["test_*.py"]
@@ -40,9 +41,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Images]:
     """Programs of all kinds of boards; their layouts are ``layout.toml`` beside them."""
     found = {}
-    for name, made in LAYOUTS.items():
+    for name, layout in LAYOUTS.items():
         folder = tmp_path_factory.mktemp(name)
-        layout: Layout = made()
         folder.joinpath("layout.toml").write_text(layout_text(layout))
         found[name] = build(Contract.from_layout(layout), folder)
     return found

@@ -210,7 +210,7 @@ class Machine:
         while not self._ended.wait(WAKING_S):
             process.send_signal(signal.SIGALRM)
 
-    def _command(self) -> Sequence[str | Path]:
+    def _command(self) -> Sequence[str]:
         control = "ctucan_pci,canbus0=bus,canbus1=none"
         boards = control if self.images.contract.layout.bus[0].fd else "kvaser_pci,canbus=bus"
         devices: list[str] = []
@@ -223,7 +223,7 @@ class Machine:
         return [
             *("qemu-system-arm", "-M", "virt,highmem=off,gic-version=2", "-cpu", "cortex-a15"),
             *("-smp", str(BOARDS + 1), "-m", "128M", "-accel", "tcg,thread=multi", "-display", "none", "-nodefaults"),
-            *("-L", TOOLS / "usr/share/qemu", "-object", "can-bus,id=bus", "-object", "can-bus,id=none", *devices),
+            *("-L", str(TOOLS / "usr/share/qemu"), "-object", "can-bus,id=bus", "-object", "can-bus,id=none", *devices),
             *("-device", f"{control},addr={BOARDS + 1}", "-chardev", "pty,id=adapter", "-serial", "chardev:adapter"),
             *("-chardev", f"file,id=log,path={self._log}"),
             *("-semihosting-config", "enable=on,target=native,chardev=log"),

@@ -81,7 +81,7 @@ def test_errors(tmp_path: Path, old: str, new: str, says: str) -> None:
 
 def test_a_column_beyond_the_skin(tmp_path: Path) -> None:
     (tmp_path / "boards.csv").write_text("board,place,row,column\n0,0,0,6\n")
-    with pytest.raises(LayoutError, match="line 2: expected columns below 6, got 6"):
+    with pytest.raises(LayoutError, match="line 2: expected whole numbers from 0 to 5 as column, got 6"):
         read_chains(tmp_path / "boards.csv", 6)
 
 

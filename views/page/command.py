@@ -3,7 +3,10 @@
 import socket
 import subprocess
 import sys
-from contextlib import ExitStack, closing
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Final
@@ -12,17 +15,19 @@ import uvicorn
 from cyclopts import Parameter
 from starlette.applications import Starlette
 
-from canskin.errors import InputError, RunError
+from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.messages import IMAGE
+from canskin.session import Stop
+from health.skins import Skins
 from recording import RECORDING_SUFFIX, file_of, is_recording
 from recording.mcap_file import part_of, read_topics
 from shell.command import WRONG_INPUT
 from shell.pulse import Pulse
 from shell.service import StopSignal, listen, say
 from shell.skin_options import SkinOptions
-from skin.layout import require_boards
+from skin.layout import Layout, require_boards
 from views.page.actions import live_actions, playback_actions
-from views.page.app import build_app
+from views.page.app import Page, build_app
 from views.page.connections import BACKLOG, HEADERS_BYTES_MAX, Connection
 from views.page.guard import Access
 from views.page.playback import Playback
@@ -44,7 +49,9 @@ def view(
     control: Annotated[bool, Parameter(negative=())] = False,
     recordings: Path = Path(),
 ) -> None:
-    """Show a skin in a browser: images, forces, label, buses and nodes; or a recording, held, moved and hurried.
+    """Show skins in a browser: images, forces, label, buses and nodes; or a recording, held, moved and hurried.
+
+    Of a hub with several skins the first page has all of them side by side, and leads to the page of each.
 
     Parameters
     ----------
@@ -52,7 +59,7 @@ def view(
         A recording (.mcap): its images as they were recorded. Where it has none, ``skin replay`` makes them first.
         Nothing is sent to a hub.
     of
-        Which skin.
+        Which skin; default: all on the hub, those that come later, too.
     host
         Address to listen on. On another than loopback, looking needs the token of the logged address, too.
     port
@@ -72,28 +79,76 @@ def view(
     pulse = Pulse(stop)
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: expected a folder that exists")
+    if recording is not None and of.connect:
+        raise InputError("a recording has no hub: leave --connect out")
+    if recording is not None and not file_of(recording).is_file():
+        raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
     with listen(host, port) as listener, ExitStack() as closes:
         if recording is not None:
-            if of.connect:
-                raise InputError("a recording has no hub: leave --connect out")
             playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
-            _serve(build_app(playback, access, playback_actions(playback)), access, listener, pulse)
+            pages = {playback.layout.name: Page(playback, playback_actions(playback))}
+            _serve(build_app(lambda: pages, access), access, listener, pulse.is_set)
             return
-        skin = of.find("viewer", stop)
-        require_boards(skin)
-        fabric = pulse.fabric = closes.enter_context(closing(of.join(skin, "viewer", pulse)))
+        has_actions = control or not access.is_shared
+        join = partial(_LivePage, of=of, recordings=recordings, has_actions=has_actions)
+        skins = closes.enter_context(closing(Skins(of.endpoint, "viewer", join)))
+        for skin in (found := of.find_all("viewer", stop)):
+            try:
+                skins.add(skin, skin.operator().fingerprint, pulse)
+            except LayoutError:
+                if len(found) == 1:
+                    raise  # of several skins the search says why one is not shown
         if stop.is_set():
             return
-        recorder = closes.enter_context(closing(RecorderProcess(recordings, of.endpoint, skin.name)))
-        live = Live(skin, fabric, recorder)
-        actions = live_actions(live, fabric, recorder) if control or not access.is_shared else {}
-        _serve(build_app(live, access, actions), access, listener, pulse)
+        if of.layout is None and of.skin is None:
+            closes.enter_context(_searching(skins, stop))
+        _serve(
+            build_app(lambda: {**skins.joined}, access), access, listener, lambda: pulse.is_set() | _beat(skins.joined)
+        )
+
+
+class _LivePage(Page):
+    """The page of a running skin."""
+
+    def __init__(self, skin: Layout, stop: Stop, of: SkinOptions, recordings: Path, *, has_actions: bool) -> None:
+        require_boards(skin)
+        self.pulse = Pulse(stop)
+        fabric = self._fabric = self.pulse.fabric = of.join(skin, "viewer", stop)
+        self._recorder = RecorderProcess(recordings, of.endpoint, skin.name)
+        live = Live(skin, fabric, self._recorder)
+        super().__init__(live, live_actions(live, fabric, self._recorder) if has_actions else {})
+
+    def close(self) -> None:
+        """End the recording, leave the skin, and let pages connect anew."""
+        self.stream.close()
+        self._recorder.close()
+        self._fabric.close()
+
+
+def _beat(pages: Mapping[str, _LivePage]) -> bool:
+    """Tell each skin that the page lives; return whether to end."""
+    return max([each.pulse.is_set() for each in list(pages.values())], default=False)
+
+
+@contextmanager
+def _searching(skins: Skins[_LivePage], stop: StopSignal) -> Iterator[None]:
+    """Join the skins that come, in a thread."""
+
+    def search() -> None:
+        with suppress(Stopped, BusError):
+            skins.run(stop)
+
+    thread = threading.Thread(target=search, name="search for skins")
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
 
 
 def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
     """Return the playback of a recording; of one without images, that of its replay, which is made in `folder`."""
-    if not file_of(recording).is_file():
-        raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
     recording = part_of(recording, of.skin)
     layout = of.find(recording=recording, needs_hub=False)
     if not is_recording(recording) or IMAGE.name not in read_topics(recording):
@@ -108,10 +163,10 @@ def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
 
 
 class _Server(uvicorn.Server):
-    """Logs the address of the page, with its token, when the page can be opened; `pulse` beats and says when to end."""
+    """Logs the address of the page, with its token, when it can be opened; `is_over` beats and says when to end."""
 
     token = ""
-    pulse: Pulse
+    is_over: Callable[[], bool]
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start serving, then log the address."""
@@ -122,7 +177,7 @@ class _Server(uvicorn.Server):
 
     async def on_tick(self, counter: int) -> bool:
         """Beat, and tell whether to end; uvicorn calls it ten times a second, and in a main thread has the signals."""
-        return self.pulse.is_set() or await super().on_tick(counter)
+        return self.is_over() or await super().on_tick(counter)
 
 
 def server_config(app: Starlette) -> uvicorn.Config:
@@ -131,7 +186,7 @@ def server_config(app: Starlette) -> uvicorn.Config:
         app,
         log_config=None,
         access_log=False,
-        lifespan="on",
+        lifespan="off",
         server_header=False,
         ws_max_size=MESSAGE_LIMIT_BYTES,
         # Frames are floats that change each time: compression costs more time than it saves on loopback.
@@ -143,8 +198,8 @@ def server_config(app: Starlette) -> uvicorn.Config:
     )
 
 
-def _serve(app: Starlette, access: Access, listener: socket.socket, pulse: Pulse) -> None:
+def _serve(app: Starlette, access: Access, listener: socket.socket, is_over: Callable[[], bool]) -> None:
     """Serve until SIGINT or SIGTERM."""
     server = _Server(server_config(app))
-    server.token, server.pulse = access.token, pulse
+    server.token, server.is_over = access.token, is_over
     server.run(sockets=[listener])

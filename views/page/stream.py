@@ -12,7 +12,7 @@ ON_THE_WAY: Final = 2
 
 
 class FrameStream:
-    """Gives the newest frame to all pages that wait, at most one frame per `period_s`.
+    """Gives the newest frame to all pages that wait, at most one frame per `period_s`, from the first page on.
 
     Parameters
     ----------
@@ -24,12 +24,17 @@ class FrameStream:
         self._make = make
         self._period_s = period_s
         self._waiting: list[asyncio.Future[bytes]] = []
+        self._running: asyncio.Task[None] | None = None
+        self._is_closed = False
 
-    async def run(self) -> None:
-        """Make frames until cancelled."""
+    def close(self) -> None:
+        """Make no more frames: pages connect again after a silence. From any thread."""
+        self._is_closed = True
+
+    async def _run(self) -> None:
         clock_s = asyncio.get_running_loop().time
         due_s = clock_s()
-        while True:
+        while not self._is_closed:
             due_s = max(due_s + self._period_s, clock_s())  # by an absolute clock: lateness is made up
             await asyncio.sleep(due_s - clock_s())
             waiting, self._waiting = self._waiting, []
@@ -41,6 +46,8 @@ class FrameStream:
 
     async def next(self) -> bytes:
         """Wait for the next frame."""
+        if self._running is None:
+            self._running = asyncio.create_task(self._run())
         future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._waiting.append(future)
         return await future

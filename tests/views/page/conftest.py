@@ -5,7 +5,7 @@ import itertools
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import msgspec
@@ -19,10 +19,16 @@ from health.snapshot import Pictures, PlaybackState, RecorderState, Snapshot
 from skin.layout import Layout
 from tests.browser import Browser, chromium
 from views.page.actions import Action, Play, Record, SetMark, Tare
-from views.page.app import build_app
+from views.page.app import Page, build_app
 from views.page.command import server_config
 from views.page.guard import Access
-from views.page.shown import Live
+from views.page.shown import Live, Shown
+
+
+def only(shown: Shown, actions: Mapping[str, Action] | None = None) -> Callable[[], Mapping[str, Page]]:
+    """Return the pages of a server that shows nothing else."""
+    pages = {shown.layout.name: Page(shown, actions)}
+    return lambda: pages
 
 
 class Chain:
@@ -129,7 +135,8 @@ class Server:
     def start(self) -> None:
         listener = socket.create_server(("127.0.0.1", self.port))
         self.port = listener.getsockname()[1]
-        self._server = _Server(server_config(build_app(self.live, self.access, self.actions)))
+        self.pages = {self.live.layout.name: Page(self.live, self.actions)}
+        self._server = _Server(server_config(build_app(lambda: self.pages, self.access)))
         self._thread = threading.Thread(target=self._server.run, args=([listener],))
         self._thread.start()
 

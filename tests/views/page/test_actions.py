@@ -17,6 +17,7 @@ from canskin.peers import Peer, new_peer
 from shell.skin_options import join
 from tests.health.helpers import FabricStub
 from tests.recording.helpers import messages_of
+from tests.views.page.conftest import only
 from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
 from views.page.guard import Access
@@ -79,7 +80,7 @@ class Skin:
         live, recorder = Live(messages.layout, self.gateway.fabric), cast("RecorderProcess", self.recorder)
         self.name = messages.layout.name
         actions = live_actions(live, self.gateway.fabric, recorder)
-        self.client = client_of(build_app(live, self.access, actions), self.access)
+        self.client = client_of(build_app(only(live, actions), self.access), self.access)
 
     def post(self, name: str, content: Any, **headers: str) -> tuple[int, Any]:
         answer = self.client.post(f"/api/{name}", json=content, headers={"origin": PAGE, **headers})
@@ -190,7 +191,7 @@ def test_no_program_without_the_token_can_tare_a_skin(skin: Skin) -> None:
 
 def test_a_server_that_only_shows_says_so(messages: Any) -> None:
     access = Access()
-    with client_of(build_app(Live(messages.layout, FabricStub().fabric), access), access) as client:
+    with client_of(build_app(only(Live(messages.layout, FabricStub().fabric)), access), access) as client:
         answer = client.post("/api/tare", json={}, headers={"origin": PAGE})
         assert (answer.status_code, "start 'skin view --control'" in answer.json()["error"]) == (403, True)
         with client.websocket_connect("ws://127.0.0.1:8765/ws") as socket:
@@ -202,7 +203,7 @@ def test_a_recording_can_be_played_and_not_tared(messages: Any, tmp_path: Path) 
 
     playback = Playback(recorded(messages, tmp_path / "run.mcap"), messages.layout)
     access = Access()
-    with client_of(build_app(playback, access, playback_actions(playback)), access) as client:
+    with client_of(build_app(only(playback, playback_actions(playback)), access), access) as client:
 
         def post(name: str, content: Any) -> tuple[int, Any]:
             answer = client.post(f"/api/{name}", json=content, headers={"origin": PAGE})

@@ -205,7 +205,7 @@ def test_five_minutes_are_drawn_with_their_gaps(browser: Browser, server: Server
     columns["lost"] = [each and (9 if 240 <= moment < 250 else 0) for each, moment in zip(known, moments, strict=True)]
     script = f"""(() => {{
       const real = fetch, history = {json.dumps(columns)};
-      window.fetch = (address, ...more) => String(address).startsWith("/api/history")
+      window.fetch = (address, ...more) => String(address).startsWith("api/history")
         ? Promise.resolve(new Response(JSON.stringify(String(address).endsWith("=0") ? history : {{ time_s: [] }})))
         : real(address, ...more);
     }})()"""

@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ import httpx
 import pytest
 
 from canskin.errors import InputError
-from canskin.fabric import Fabric
+from shell.skin_options import join
+from skin.layout import changed, load_layout
 from tests.layouts import layout_toml
 from views.page.command import view
 
@@ -33,19 +34,27 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_port_0_is_told_and_signals_end_it_quietly(
-    hub: Fabric, endpoint: str, tmp_path: Path, number: signal.Signals
+@pytest.mark.parametrize(("number", "is_named"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+def test_port_0_is_told_the_skins_are_shown_and_signals_end_it_quietly(
+    endpoint: str, tmp_path: Path, number: signal.Signals, *, is_named: bool
 ) -> None:
     layout = tmp_path / "palm.toml"
     layout.write_text(TOML)
-    with running("--layout", str(layout), "--connect", endpoint, "--port", "0") as process:
+    palm = load_layout(layout)
+    hand = changed(palm, name="hand")
+    with (
+        closing(join(palm, "gateway", endpoint, hub=True)),
+        running(*["--layout", str(layout)] * is_named, "--connect", endpoint, "--port", "0") as process,
+    ):
         assert process.stderr is not None
         line = process.stderr.readline()
         assert line.startswith("viewer: web page at http://127.0.0.1:")
         address, _, token = line.split()[-1].partition("?token=")
         assert len(token) >= 32
         assert httpx.get(f"{address}api/state", timeout=240).json()["skin"] == "palm"
+        with closing(join(hand, "gateway", endpoint)):  # comes later
+            assert is_named or process.stderr.readline() == "viewer: skin 'hand' is shown\n"
+            assert httpx.get(f"{address}api/skins", timeout=240).json() == ["palm", "hand"][: 2 - is_named]
         process.send_signal(number)
         out, err = process.communicate(timeout=240)
     assert (process.returncode, out, err) == (0, "", "")

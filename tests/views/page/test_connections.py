@@ -12,6 +12,7 @@ import uvicorn
 
 from tests.health.helpers import FabricStub
 from tests.processes import PATIENCE_S
+from tests.views.page.conftest import only
 from views.page.actions import Action, SetMark
 from views.page.app import build_app
 from views.page.command import server_config
@@ -45,7 +46,7 @@ class Serving:
         self.is_asked, self.may_answer = threading.Event(), threading.Event()
         actions = {"mark": Action(SetMark, self._mark)}
         self.server = uvicorn.Server(
-            server_config(build_app(Live(messages.layout, FabricStub().fabric), ACCESS, actions))
+            server_config(build_app(only(Live(messages.layout, FabricStub().fabric), actions), ACCESS))
         )
         self._thread = threading.Thread(target=self.server.run, args=([listener],))
         self._thread.start()

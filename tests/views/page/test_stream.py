@@ -3,7 +3,6 @@
 import asyncio
 from itertools import count
 
-import pytest
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from views.page.stream import ON_THE_WAY, FrameStream, serve_page
@@ -37,7 +36,6 @@ async def two_pages() -> tuple[int, list[int]]:
     stream = FrameStream(lambda: b"%d" % next(numbers), period_s=0.001)
     quick, slow = Page(), Page()
     tasks = [
-        asyncio.create_task(stream.run()),
         asyncio.create_task(serve_page(quick, stream)),  # type: ignore[arg-type]  # what serve_page needs of it
         asyncio.create_task(serve_page(slow, stream)),  # type: ignore[arg-type]  # what serve_page needs of it
     ]
@@ -50,8 +48,7 @@ async def two_pages() -> tuple[int, list[int]]:
     early.append(int(await slow.got.get()))
     for page in (quick, slow):
         page.said.put_nowait(None)
-    await asyncio.gather(*tasks[1:])
-    tasks[0].cancel()
+    await asyncio.gather(*tasks)
     return newest, early
 
 
@@ -67,13 +64,10 @@ def test_no_frame_is_made_for_nobody() -> None:
     async def idle() -> int:
         made = count()
         stream = FrameStream(lambda: b"%d" % next(made), period_s=0.0)
-        task = asyncio.create_task(stream.run())
+        assert await stream.next() == b"0"
         for _ in range(20):
             await asyncio.sleep(0)
-        assert await stream.next() == b"0"
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
+        stream.close()
         return next(made)
 
     assert asyncio.run(idle()) == 1

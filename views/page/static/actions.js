@@ -11,7 +11,7 @@ const SHOWN_MS = 8000;
 /** Ask the server for an action; returns whether it was done, and what the server says. */
 export async function ask(name, request) {
   try {
-    const answer = await fetch(`/api/${name}`, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(request) });
+    const answer = await fetch(`api/${name}`, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(request) });
     const said = await answer.text();
     const isJson = answer.headers.get("Content-Type")?.startsWith("application/json");
     const { text, error } = isJson ? JSON.parse(said) : { error: said };

@@ -33,7 +33,7 @@ export class History {
       const wasMoved = playback && this.askedAt_s !== null && time_s < this.askedAt_s;
       const after_s = playback ? (wasMoved ? time_s - BEFORE_S : (this.askedAt_s ?? 0) - OVERLAP_S) : (this.end_s ?? 0);
       this.askedAt_s = time_s;
-      const answer = await fetch(`/api/history?after_s=${after_s}`);
+      const answer = await fetch(`api/history?after_s=${after_s}`);
       if (answer.ok) this.take(await answer.json());
     } catch {
       // the page tells that the connection is lost

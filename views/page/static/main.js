@@ -33,7 +33,7 @@ const timeline = new Timeline(history, { show: schedule, fetchFrame, play });
 
 async function fetchFrame(time_s) {
   try {
-    const found = await fetch(`/api/frame?time_s=${time_s}`);
+    const found = await fetch(`api/frame?time_s=${time_s}`);
     return found.ok ? parse(await found.arrayBuffer(), skin.rows * skin.columns) : null;
   } catch {
     return null;

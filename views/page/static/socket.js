@@ -16,8 +16,10 @@ export function parse(buffer, taxels) {
 }
 
 export class Connection {
-  /** `onSkin(greeting)` is called at every new connection, `onFrame(frame)` for every frame. */
-  constructor(onSkin, onFrame) {
+  /** `onSkin(greeting)` is called at every new connection, `onFrame(frame)` for every frame. `path` is that of the skin. */
+  constructor(onSkin, onFrame, path = "") {
+    this.url = new URL(`${path}ws`, location.href);
+    this.url.protocol = location.protocol === "https:" ? "wss" : "ws";
     this.onSkin = onSkin;
     this.onFrame = onFrame;
     this.delay = FIRST_DELAY_MS;
@@ -28,7 +30,7 @@ export class Connection {
   }
 
   open() {
-    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
+    const socket = new WebSocket(this.url);
     socket.binaryType = "arraybuffer";
     let taxels = 0;
     socket.onmessage = ({ data }) => {
