@@ -265,7 +265,7 @@ def part_of(path: Path, skin: str | None) -> Path:
         raise InputError(f"{path}: has no skin '{skin}', but {names}")
     if skin is None and parts and path not in parts.values():
         some = next(iter(parts.values()))
-        raise InputError(f"{path}: {file_of(path).name} has {names}: give --skin NAME, or {some} as its path")
+        raise InputError(f"{file_of(path)}: has {names}: give --skin NAME, or {some} as its path")
     return path if skin is None else parts[skin]
 
 
