@@ -26,9 +26,10 @@ from bus.protocol import (
     unpack_json,
 )
 from bus.reconnecting import ReconnectingLink
-from bus.told import PACKETS, RETURNED, Bytes
+from bus.told import PACKETS, RETURNED
 from canskin.errors import BusError, Stopped
 from dbc.frame import Frames
+from dbc.frame_fields import Bytes
 from shell.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.

@@ -23,14 +23,12 @@ from bus.told import (
     OFFSET,
     SECOND_NS,
     STAMP_ERROR,
-    Bytes,
-    Integers,
     clock_ns,
     has_failed,
 )
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import BRS, CAN_ID_AT, DATA_AT, ECHO, ERROR, ESI, EXTENDED, FD, FLAGS_AT, FRAME, LENGTH_AT, REMOTE
-from dbc.frame_fields import ROWS, field
+from dbc.frame_fields import ROWS, Bytes, Integers, field
 from shell.clock import READINGS
 from shell.compiled import njit
 

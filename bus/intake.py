@@ -28,13 +28,11 @@ from bus.told import (
     RETURNED,
     SECOND_NS,
     STATE,
-    Bytes,
-    Integers,
     clock_ns,
     has_failed,
 )
 from dbc.frame import ECHO, FLAGS_AT, FRAME, PORT_AT, Frames
-from dbc.frame_fields import ROWS, field
+from dbc.frame_fields import ROWS, Bytes, Integers, field
 from shell.compiled import njit
 
 #: Frames of a link in one call.

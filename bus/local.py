@@ -9,7 +9,7 @@ from bus.error_frames import State
 from bus.protocol import check_frames, padded
 from bus.session import Backlog, Batch
 from bus.simulated_bus import SimulatedBus
-from dbc.frame import Frames
+from dbc.frame import Frames, frames
 
 
 class LocalLink:
@@ -65,9 +65,9 @@ class LocalLink:
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of own frames included, in bus order."""
-        arrived = self._backlog.take()
-        while self.is_ready:
-            arrived = np.concatenate((arrived, self._backlog.take()))
+        parts = self._backlog.parts
+        arrived = parts[0] if len(parts) == 1 else np.concatenate((frames(0), *parts))
+        parts.clear()
         return arrived
 
     def send(self, burst: Frames) -> int:

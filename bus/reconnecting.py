@@ -11,9 +11,10 @@ import numpy as np
 
 from bus.error_frames import State
 from bus.intake import new_intake
-from bus.told import CAME, DESCRIPTOR, DROPPED, HAS_FAILED, NEEDS_LOOK, READER, RETURNED, STATE, Bytes, Integers
+from bus.told import CAME, DESCRIPTOR, DROPPED, HAS_FAILED, NEEDS_LOOK, READER, RETURNED, STATE
 from canskin.errors import BusError
 from dbc.frame import FRAME, Frames, frame_bytes, frames
+from dbc.frame_fields import Bytes, Integers
 
 #: Waits for a new socket: after the loss, and the longest, to which the wait doubles with each failure in a row.
 FIRST_S: Final = 0.05

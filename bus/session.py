@@ -70,28 +70,19 @@ class Backlog:
     def __init__(self) -> None:
         self.dropped = 0
         self.parts: deque[Frames] = deque()
-        self._waiting = 0
 
     def keep(self, part: Frames) -> None:
         """Keep frames; drop received frames above the bound."""
-        received = part["flags"] & ECHO == 0
-        count = int(np.count_nonzero(received))
-        if self._waiting + count > BACKLOG_FRAMES:
-            lost = received & (np.cumsum(received) > BACKLOG_FRAMES - self._waiting)
+        if sum(map(len, self.parts)) + len(part) > BACKLOG_FRAMES:  # maybe, as echoes do not count
+            waiting = sum(np.count_nonzero(each["flags"] & ECHO == 0) for each in self.parts)
+            received = part["flags"] & ECHO == 0
+            lost = received & (np.cumsum(received) > BACKLOG_FRAMES - waiting)
+            self.dropped += int(np.count_nonzero(lost))
             part = part[~lost]
-            self.dropped += (excess := int(np.count_nonzero(lost)))
-            count -= excess
-        self._waiting += count
         if self.parts and len(self.parts[-1]) + len(part) <= MAX_FRAMES:
             self.parts[-1] = np.concatenate((self.parts[-1], part))
         elif len(part):
             self.parts.append(part)
-
-    def take(self) -> Frames:
-        """Remove and return the oldest part; an empty array if there is none."""
-        part = self.parts.popleft() if self.parts else frames(0)
-        self._waiting -= int(np.count_nonzero(part["flags"] & ECHO == 0))
-        return part
 
 
 class Session:
@@ -127,7 +118,7 @@ class Session:
         """Send waiting frames, as far as the client reads."""
         parts = self.backlog.parts
         while parts and self._send(len(parts[0]), parts[0].tobytes(), now_ns):
-            self.backlog.take()
+            parts.popleft()
 
     def _send(self, count: int, payload: bytes, now_ns: int) -> bool:
         header = HEADER.pack(MAGIC, Kind.FRAMES, self.station.state, count, self.backlog.dropped, now_ns)

@@ -21,6 +21,7 @@ from bus.datagrams import (
 )
 from bus.device_clock import DeviceClock
 from bus.error_frames import State, state_of_report
+from bus.intake import MOST_FRAMES
 from bus.interface import (
     Controller,
     Interface,
@@ -32,9 +33,10 @@ from bus.interface import (
 )
 from bus.protocol import check_frames, in_time, padded
 from bus.reconnecting import ReconnectingLink
-from bus.told import DATAGRAMS, DESCRIPTOR, DEVICE_ERROR, NEEDS_LOOK, NO_STAMPS, OFFSET, STAMP_ERROR, STATE, Bytes
+from bus.told import DATAGRAMS, DESCRIPTOR, DEVICE_ERROR, NEEDS_LOOK, NO_STAMPS, OFFSET, STAMP_ERROR, STATE
 from canskin.errors import BusError
 from dbc.frame import ERROR, FRAME, Frames, frame_bytes, frames
+from dbc.frame_fields import Bytes
 from shell.clock import wall_offset
 from shell.service import say
 
@@ -127,6 +129,13 @@ class SocketCanLink(ReconnectingLink):
         """
         error_ns = int(self._told[STAMP_ERROR])
         return None if error_ns == NO_STAMPS else error_ns
+
+    def receive(self) -> Frames:
+        """Return all waiting frames, own frames as echoes."""
+        arrived = [super().receive()]
+        while len(arrived[-1]) == MOST_DATAGRAMS and len(arrived) < MOST_FRAMES // MOST_DATAGRAMS:
+            arrived.append(super().receive())
+        return arrived[0] if len(arrived) == 1 else np.concatenate(arrived)
 
     def arrived(self, rows: Bytes) -> Frames:
         """Return the frames that were read into `rows`, and use what was told besides."""

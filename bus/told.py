@@ -4,11 +4,10 @@ import errno
 import socket
 from typing import Any, Final
 
-import numpy as np
-import numpy.typing as npt
 from numba import types
 from numba.np.numpy_support import carray
 
+from dbc.frame_fields import Integers
 from shell.compiled import njit
 
 #: What is told of a link: its descriptor (-1: none); who reads it, `PYTHON`, `PACKETS` or `DATAGRAMS`; whether it was
@@ -23,8 +22,6 @@ PYTHON, PACKETS, DATAGRAMS = range(3)
 #: The error of a clock that gives no time stamps.
 NO_STAMPS: Final = -1
 
-Integers = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
 CLOCK_REALTIME, CLOCK_MONOTONIC = 0, 1
 SECOND_NS: Final = 1_000_000_000

@@ -65,6 +65,9 @@ class Calibrator:
         Measure the zero at the start, and follow it. Otherwise stored offsets stay as they are.
     say : callable
         Writes a line to the log.
+    submit : callable
+        Calls what compiles the kernels, at the first measurement, perhaps in another thread; nothing is learned before
+        that has ended.
 
     Attributes
     ----------
@@ -82,6 +85,7 @@ class Calibrator:
         offsets_n: Floats | None = None,
         tares: bool = True,
         say: Callable[[str], None] = lambda _: None,
+        submit: Callable[[Callable[[], None]], object] = lambda function: function(),
     ) -> None:
         taxels, phi = layout.taxels, layout.phi()
         self._layout, self._phi, self._tares, self._say = layout, phi, tares, say
@@ -93,10 +97,9 @@ class Calibrator:
         self._newest_ns = self._tared_ns = 0
         self._noise = ClippedNoise(phi, clips=layout.samples_per_sync == 1 and not taxels.is_analogue)
         self._finder = FieldFinder(phi, taxels.surface)
-        nothing = np.zeros(phi.shape[0])
-        self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
+        self._submit, self._has_begun, self._is_compiled = submit, False, False
         self._defects = DefectFinder(phi, taxels.surface, QUIET_COUNTS * sum_step_n(layout), say, taxels.force_max_n)
-        self._left_out: Bools = nothing != 0
+        self._left_out: Bools = np.zeros(phi.shape[0], np.bool_)
         self._taring = Taring(self._finder, least_noise_n(layout))
         temperature = TemperatureModel(phi.blocks)
         self._new_zero = partial(FollowedZero, layout, self._finder, temperature, self._windows.length_ns)
@@ -109,6 +112,12 @@ class Calibrator:
         if offsets_n is not None:
             self.load(offsets_n)
         self.result: TareResult | None = None
+
+    def _compile(self) -> None:
+        """Find a field of nothing: no gateway waits for the kernels in a cycle."""
+        nothing = np.zeros(self._phi.shape[0])
+        FieldFinder(self._phi, self._layout.taxels.surface).find(nothing, nothing == 0, 1.0)
+        self._is_compiled = True
 
     @property
     def offsets_n(self) -> Floats | None:
@@ -216,6 +225,11 @@ class Calibrator:
         """Learn from a measurement as it came, without saturated sums; most of it is left to `work`."""
         if self.state in {CalibrationState.OFF, CalibrationState.LOADED}:
             return
+        if not self._has_begun:
+            self._has_begun = True
+            self._submit(self._compile)
+        if not self._is_compiled:
+            return
         if measurement.cycle % self._layout.sync.turns:  # half of its sums come once more in the next one
             return
         counts = np.frombuffer(measurement.sums, "<i4")
@@ -229,7 +243,7 @@ class Calibrator:
         """Learn from the newest window, or audit the zero."""
         window, self._waiting = self._waiting, None
         if window is None:
-            if self._followed is not None:
+            if self._followed is not None and self._is_compiled:
                 self._followed.audit()
             return
         self._newest_ns = window.centre_ns

@@ -101,13 +101,13 @@ def train(
     *,
     layout: Path | None = None,
     objects: ObjectNames | None = None,
-    touches: int = 0,
+    touches: int | None = None,
     noise_n: float = NOISE_N,
     stroke: StrokeKind = "slide",
     features: Features | None = None,
     seed: int = 0,
     out: Path | None = None,
-    choose: int = 0,
+    choose: int | None = None,
     layout_out: Path | None = None,
     recordings: Annotated[list[Path] | None, Parameter(negative=())] = None,
     json: Json = False,
@@ -156,7 +156,7 @@ def train(
     skin train --choose 64 --layout-out palm-64.toml --features sums
     """
     if recordings is not None:
-        if objects or touches or choose or layout_out:
+        if objects or (touches or choose or layout_out) is not None:
             raise InputError(
                 "--recordings contain their objects and touches: leave --objects, --touches, --choose, --layout-out out"
             )
@@ -164,15 +164,15 @@ def train(
         return
     skin = load_layout(layout)
     names = _named(objects)
-    if touches < 0 or seed < 0:
-        raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")
+    count = TOUCHES_PER_OBJECT * len(names) if touches is None else touches
+    if count < 1 or seed < 0:
+        raise InputError(f"expected --touches of 1 or more and --seed of 0 or more, got {count} and {seed}")
     if out is not None:
         check_output_path(out, "model", ".npz")
-    if (choose != 0) != (layout_out is not None):
+    if (choose is None) != (layout_out is None):
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
         check_new_path(layout_out, "layout", ".toml")
-    count = touches or TOUCHES_PER_OBJECT * len(names)
     kind = features or FEATURES[stroke]
     skin, model = _train(skin, names, count, stroke, kind, noise_n=noise_n, seed=seed, choose=choose)
     path = out or cached_path(skin, classified_phi(skin), names, stroke)
@@ -225,14 +225,14 @@ def _train(
     *,
     noise_n: float,
     seed: int,
-    choose: int,
+    choose: int | None,
 ) -> tuple[Layout, Model]:
     """Train with a progress bar on a terminal's stderr; return layout and model, the layout with the chosen rows."""
     from classifier.training import TrainingOptions, train  # scikit-learn takes a second to load
 
     with progress("drawing touches", 1.2) as bar:
         force_n, labels = load_touches(names, count, skin, seed=seed, stroke=stroke)
-        if choose:
+        if choose is not None:
             from classifier.rows import with_chosen_rows
 
             skin = with_chosen_rows(skin, force_n, labels, choose, noise_n=noise_n, seed=seed)

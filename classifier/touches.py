@@ -89,14 +89,15 @@ class Touches:
 
     Attributes
     ----------
-    begin_ns : int
-        Wall clock of the recorder at the first contacts or mark.
+    begin_ns, end_ns : int
+        Wall clock of the recorder at the first contacts or mark, and at the last contacts.
     touches : list of Touch
     untouched : tuple of CycleKey
         Cycles in which nothing touches the skin, nor shortly before and after.
     """
 
     begin_ns: int
+    end_ns: int
     touches: list[Touch]
     untouched: tuple[CycleKey, ...]
 
@@ -177,7 +178,7 @@ def touches_of(recording: Path, messages: Iterable[Read], warn: Warn) -> Touches
     labels = _Labels(marks, read_labels(recording))
     long = [group for group in _grouped(looks) if group[-1].time_ns - group[0].time_ns >= LEAST_NS]
     touches = [_touch(number, group, labels) for number, group in enumerate(long, 1)]
-    return Touches(begin_ns, touches, _untouched(looks))
+    return Touches(begin_ns, looks[-1].time_ns, touches, _untouched(looks))
 
 
 def _grouped(looks: Iterable[_Look]) -> list[list[_Look]]:

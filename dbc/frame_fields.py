@@ -3,12 +3,17 @@
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 from numba import types, uint8
 
 from shell.compiled import njit
 
 #: Records as rows of bytes; kernels that are compiled for these take every array of frames, at once.
 ROWS: Final = types.Array(uint8, 2, "A", readonly=True)
+
+Integers = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True)

@@ -20,8 +20,8 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from dbc.frame_fields import Bytes, Integers
 from shell.compiled import njit
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.ways_of_sending import SUM_BITS
@@ -66,9 +66,6 @@ STEP, SET, CHECK, BAD = range(4)
 FNV_BASIS: Final = 2_166_136_261
 FNV_PRIME: Final = 16_777_619
 _32_BITS: Final = (1 << 32) - 1
-
-Integers = npt.NDArray[np.int64]
-Bytes = npt.NDArray[np.uint8]
 
 
 class Form(NamedTuple):

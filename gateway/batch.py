@@ -3,7 +3,6 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from bus.error_frames import ErrorClass
 from dbc.canopen import (
@@ -17,7 +16,7 @@ from dbc.canopen import (
 )
 from dbc.contract import FrameTable, PartTable
 from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, Frames, frame_bytes
-from dbc.frame_fields import field
+from dbc.frame_fields import Bytes, Integers, field
 from shell.compiled import borrowed, njit
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -29,9 +28,6 @@ _OVERFLOW: Final = 0x01
 #: Plain numbers for compiled code.
 _OFF: Final = int(ErrorClass.BUS_OFF | ErrorClass.RESTARTED)
 _CONTROLLER: Final = int(ErrorClass.CONTROLLER)
-
-Rows = npt.NDArray[np.uint8]
-Places = npt.NDArray[np.int64]
 
 
 class Batch(NamedTuple):
@@ -55,8 +51,8 @@ class Batch(NamedTuple):
     """
 
     bus: int
-    rows: Rows
-    places: Places
+    rows: Bytes
+    places: Integers
     tells_loss: bool
     echoes: int
     other_syncs: int
@@ -71,7 +67,7 @@ def batch_of(arrived: Frames, bus: int, table: FrameTable | PartTable) -> Batch:
 
 
 @njit(cache=True, nogil=True)
-def sort(rows: Rows, bus: int, table: FrameTable | PartTable, places: Places) -> tuple[bool, int, int, list[int]]:
+def sort(rows: Bytes, bus: int, table: FrameTable | PartTable, places: Integers) -> tuple[bool, int, int, list[int]]:
     """Look through frames as `batch_of`; `talk` is where the frames of that are."""
     (rows, places), table = borrowed((rows, places)), borrowed(table)
     tells_loss, echoes, other_syncs, talk = False, 0, 0, [0 for _ in range(0)]
@@ -99,7 +95,7 @@ def sort(rows: Rows, bus: int, table: FrameTable | PartTable, places: Places) ->
 
 
 @njit(cache=True, nogil=True)
-def _place_of(row: Rows, can_id: int, bus: int, table: FrameTable | PartTable) -> int:
+def _place_of(row: Bytes, can_id: int, bus: int, table: FrameTable | PartTable) -> int:
     place = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else STRANGE
     if place < 0 or row[FLAGS_AT] & (EXTENDED | REMOTE | FD) != table.flags[place] & FD:
         return STRANGE

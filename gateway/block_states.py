@@ -7,8 +7,9 @@ import numpy.typing as npt
 
 from canskin.messages import BlockState
 from dbc.contract import Contract, PartTable
+from dbc.frame_fields import Flags, Integers
 from dbc.steps import LATE_SLOTS, SET_SUMS, form_at
-from gateway.stepped_state import NEVER_NS, Flags, Integers, PartSums, forget
+from gateway.stepped_state import NEVER_NS, PartSums, forget
 from shell.compiled import borrowed, njit
 from skin.walsh import grouped_rows
 

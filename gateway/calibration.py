@@ -60,7 +60,9 @@ class GatewayCalibration:
         self._stored = stored or new_calibration(layout)
         offsets_n = self._stored.sum_offsets_n()
         self._keeps = None if keeps is None else KeptZero(keeps, layout, offsets_n, submit)
-        self._calibrator = Calibrator(layout, offsets_n=offsets_n, tares=tares, say=lambda text: say("gateway", text))
+        self._calibrator = Calibrator(
+            layout, offsets_n=offsets_n, tares=tares, say=lambda text: say("gateway", text), submit=submit
+        )
         self._temperatures = Temperatures(contract, self.take_temperatures) if layout.taxels.has_thermometers else None
         #: Stepped: the newest sums, which hold until others come, and when they are looked at next.
         self._look_s, self._now_s = float("-inf"), 0.0

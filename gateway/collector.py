@@ -26,20 +26,9 @@ from canskin.messages import FrameCounts
 from dbc.codec import read_raw
 from dbc.contract import Contract, FrameTable
 from dbc.frame import DATA_AT, TIME_AT, frames
-from dbc.frame_fields import field
-from gateway.batch import NOTHING, OTHER_SYNC, OWN_SYNC, STRANGE, Batch, Places, Rows, batch_of
-from gateway.open_cycles import (
-    SLOTS,
-    Flags,
-    Integers,
-    OpenCycles,
-    begin_cycle,
-    is_open,
-    keep_frame,
-    new_cycles,
-    slot_of,
-    spoil_bus,
-)
+from dbc.frame_fields import Bytes, Flags, Integers, field
+from gateway.batch import NOTHING, OTHER_SYNC, OWN_SYNC, STRANGE, Batch, batch_of
+from gateway.open_cycles import SLOTS, OpenCycles, begin_cycle, is_open, keep_frame, new_cycles, slot_of, spoil_bus
 from gateway.proven_blocks import ProvenBlocks
 from gateway.sync_times import SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
 from gateway.turn import wait_and_sort
@@ -120,13 +109,13 @@ class Gathering(NamedTuple):
     raw: npt.NDArray[np.int32]
 
 
-#: Places of `Gathering.counts`.
+#: Integers of `Gathering.counts`.
 ACCEPTED, LATE, DUPLICATE, MALFORMED, MISSING, FOREIGN = range(6)
 
 
 @njit(cache=True, nogil=True)
 def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: Rows, places: Places, bus: int, stamp_error_ns: int, turns: int, held: Any
+    rows: Bytes, places: Integers, bus: int, stamp_error_ns: int, turns: int, held: Any
 ) -> None:
     """Use the frames that arrived on a bus, in bus order.
 

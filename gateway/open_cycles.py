@@ -6,14 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.contract import Contract, FrameTable
+from dbc.frame_fields import Flags, Integers
 from shell.compiled import njit
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: Cycles that are gathered at once.
 SLOTS: Final = 2
 
-Integers = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 following = njit(cache=True, nogil=True)(next_counter)
 

@@ -18,13 +18,12 @@ without words for that long is late, as a part whose newest word came late.
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from bus.told import CAME, STAMP_ERROR
 from dbc.contract import Contract, PartTable
 from dbc.dictionary import slot_offset_us
 from dbc.frame import DATA_AT, TIME_AT
-from dbc.frame_fields import field
+from dbc.frame_fields import Bytes, Flags, Integers, field
 from dbc.steps import (
     BAD,
     CHECK,
@@ -44,7 +43,7 @@ from dbc.steps import (
     put,
     read_word,
 )
-from gateway.batch import NOTHING, OWN_SYNC, WRONG, Batch, Places, Rows
+from gateway.batch import NOTHING, OWN_SYNC, WRONG, Batch
 from gateway.turn import wait_and_sort
 from shell.compiled import borrowed, njit
 from skin.sync_counter import SYNC_OVERFLOW
@@ -53,9 +52,6 @@ from skin.sync_counter import SYNC_OVERFLOW
 NEVER_NS: Final = -(1 << 62)
 #: A word that is this number of slots ahead of the gateway's clock is not late by nearly all of them.
 _AHEAD: Final = 3
-
-Integers = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 
 class Slots(NamedTuple):
@@ -181,7 +177,7 @@ def take_all(batch: Batch, known: Any) -> tuple[int, int]:
 
 
 @njit(cache=True, nogil=True)
-def take_rows(rows: Rows, places: Places, bus: int, known: Any) -> tuple[int, int]:
+def take_rows(rows: Bytes, places: Integers, bus: int, known: Any) -> tuple[int, int]:
     """Do what `take_all` does."""
     (rows, places), (is_proven, slots, table, state) = borrowed((rows, places)), borrowed(known.value)
     newest_ns, taken_ns = NEVER_NS, 0

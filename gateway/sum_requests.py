@@ -10,9 +10,9 @@ from collections.abc import Callable, Generator
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from dbc import indices as od
+from dbc.frame_fields import Flags
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
@@ -26,7 +26,6 @@ NOISE_PERIOD_S: Final = 10.0
 #: Time until the next try when a node cannot be asked now; meanwhile the other nodes have their turn.
 NOISE_RETRY_S: Final = 1.0
 
-Flags = npt.NDArray[np.bool_]
 _Steps = Generator[Transfer, bytes, None]
 
 

@@ -25,7 +25,8 @@ from bus.told import NO_STAMPS
 from canskin.messages import UNKNOWN_ERROR_NS
 from dbc.contract import Contract, sync_frame
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
-from gateway.open_cycles import SLOTS, Flags, Integers, slot_of
+from dbc.frame_fields import Flags, Integers
+from gateway.open_cycles import SLOTS, slot_of
 from shell.compiled import njit
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.intake import Intake, new_intake, read_links
-from bus.told import CAME, DESCRIPTOR, DROPPED, HAS_FAILED, NEEDS_LOOK, READER, STATE, Integers
+from bus.told import CAME, DESCRIPTOR, DROPPED, HAS_FAILED, NEEDS_LOOK, READER, STATE
+from dbc.frame_fields import Integers
 from dbc.stuff_bits import time_of_all_ns
 from gateway.batch import sort
 from shell.compiled import njit

@@ -72,8 +72,9 @@ def _spans(text: str, found: Touches) -> list[Span]:
     check_label(name)
     if times:
         begin_ns, end_ns = (found.begin_ns + round(float(each) * 1e9) for each in times.groups())
-        if end_ns <= begin_ns:
-            raise InputError(f"'{text}': expected a time that ends after its begin")
+        if end_ns <= begin_ns or begin_ns > found.end_ns:
+            last_s = (found.end_ns - found.begin_ns) * 1e-9
+            raise InputError(f"'{text}': expected a time of the recording, 0:{last_s:.1f}, that ends after its begin")
         return [Span(begin_ns, end_ns, name)]
     assert numbers is not None  # noqa: S101 - one of both matched
     first, last = int(numbers[1]), int(numbers[2] or numbers[1])

@@ -124,7 +124,7 @@ def _logged(
     if contract.layout.sends.in_cycles:
         check_named(part.status)
         if not part.status.cycles_complete:
-            warn(f"none of {part.status.cycles} cycles is complete: is a board missing, or have the buses two clocks?")
+            warn(f"none of {part.status.cycles} cycles is complete: another layout, a missing board, or two clocks?")
 
 
 class _Recorded:

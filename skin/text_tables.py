@@ -106,7 +106,8 @@ def read_numbers(path: Path, kind: type[SkinError], what: str) -> npt.NDArray[np
             decimal = text if separator == "," else text.replace(",", ".")
             return np.loadtxt(StringIO(decimal), np.float64, delimiter=separator, ndmin=2)
     except (ValueError, UserWarning) as error:
-        raise kind(f"{path}: cannot read {what}: expected lines of numbers: {error}") from error
+        got = error if text.strip() else "the file is empty"
+        raise kind(f"{path}: cannot read {what}: expected lines of numbers: {got}") from error
 
 
 def _separator(text: str) -> str:

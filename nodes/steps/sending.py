@@ -9,8 +9,9 @@ from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, PartTable
 from dbc.dictionary import slot_offset_us
 from dbc.frame import ECHO, ERROR, FD_BYTES, Frames, frames
+from dbc.frame_fields import Bytes, Integers
 from dbc.patch_filter import Floats
-from dbc.steps import WORD_BYTES, Bytes, Integers, keep_max, slot_byte, slot_cycle, write_word
+from dbc.steps import WORD_BYTES, keep_max, slot_byte, slot_cycle, write_word
 from nodes.steps.stepping import (
     NO_COB_ID,
     Numbers,

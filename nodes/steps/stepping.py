@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.contract import PartTable
+from dbc.frame_fields import Flags, Integers
 from dbc.patch_filter import Floats
 from dbc.steps import (
     CHECK_EVERY,
@@ -17,7 +18,6 @@ from dbc.steps import (
     SET_SUMS,
     VARIANCE_RATIO,
     Form,
-    Integers,
     check_word,
     form_at,
     limits,
@@ -34,7 +34,6 @@ LOST_NS: Final = 500_000_000
 _NO_STEP: Final = -1
 
 Numbers = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 
 class State(NamedTuple):

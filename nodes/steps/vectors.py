@@ -10,6 +10,7 @@ from dbc.board import json_text
 from dbc.board_sums import PATTERN_OFF, calibration_signature, calibration_values
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, frames
+from dbc.frame_fields import Integers
 from dbc.patch_filter import (
     HORIZON,
     IDLE_SAMPLES,
@@ -26,7 +27,6 @@ from dbc.steps import (
     SLOTS,
     WORD_BYTES,
     Form,
-    Integers,
     check_word,
     limits,
     set_word,

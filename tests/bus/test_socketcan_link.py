@@ -158,6 +158,13 @@ def test_frames_go_out_and_come_in(kernel: Kernel, link: SocketCanLink) -> None:
         link.send(frame(0x181, bytes(12), FD))
 
 
+def test_all_that_waits_is_received_at_once(kernel: Kernel, link: SocketCanLink) -> None:
+    kernel.far[0].setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+    for number in range(600):
+        kernel.put(number)
+    assert link.receive()["can_id"].tolist() == list(range(600))
+
+
 @pytest.mark.parametrize(("control", "expected"), [(0x10, State.PASSIVE), (0x40, State.ACTIVE), (0x08, State.WARNING)])
 def test_reports_of_the_controller_tell_its_state(
     kernel: Kernel, link: SocketCanLink, control: int, expected: State

@@ -1,5 +1,6 @@
 """A skin with offsets that is tared at its start and followed."""
 
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -60,6 +61,16 @@ def test_in_turns_it_learns_from_measurements_whose_sums_are_all_new() -> None:
     assert apart.tare_s == together.tare_s
     assert apart.status() == together.status()
     np.testing.assert_array_equal(apart.offsets_n, together.offsets_n)
+
+
+def test_nothing_is_learned_before_the_kernels_are_compiled() -> None:
+    compiling: list[Callable[[], None]] = []
+    skin = Skin(Calibrator(LAYOUT, submit=compiling.append))
+    skin.run(4.0, still(OFFSETS))
+    assert skin.calibrator.offsets_n is None
+    (compile_all,) = compiling
+    compile_all()
+    assert error_n(skin.run(4.0, still(OFFSETS)), ZERO) < 1.2 * SUM_NOISE_N
 
 
 def test_saturated_sums_have_no_part_in_the_zero() -> None:

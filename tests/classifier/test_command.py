@@ -202,8 +202,6 @@ def test_options_that_recordings_do_not_take(tmp_path: Path) -> None:
 
 
 def test_wrong_options(small: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--touches -1"):
-        train(layout=small, touches=-1)
     with pytest.raises(InputError, match="the folder for the model does not exist"):
         train(layout=small, out=tmp_path / "none" / "m.npz")
     assert not (tmp_path / "none").exists()

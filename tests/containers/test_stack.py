@@ -28,7 +28,7 @@ pytestmark = [
 
 ROOT: Final = Path(__file__).parents[2]
 IMAGE: Final = "canskin-test"
-SERVICES: Final = ("bus", "nodes", "gateway", "reconstructor", "classifier", "viewer")
+SERVICES: Final = ("nodes", "gateway", "reconstructor", "classifier", "viewer")
 PATIENCE_S: Final = 300.0
 TOKEN: Final = "of-the-test-alone"  # noqa: S105 - of no other stack
 #: Of the words of a check that fails.

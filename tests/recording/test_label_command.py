@@ -62,6 +62,7 @@ def test_labels_are_set_and_removed_by_number_and_by_time(touched: Path, capsys:
         ("2-4=cup", "touches from 1 to 3"),
         ("3-2=cup", "the first before the last"),
         ("3:2=cup", "ends after its begin"),
+        ("900:999=cup", "expected a time of the recording"),
         ("1=unknown object", "expected printable text"),
         ("1=a\tb", "expected printable text"),
         ("1= cup", "without spaces at its ends"),

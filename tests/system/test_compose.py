@@ -26,7 +26,7 @@ from tests.system.helpers import first_image
 
 ROOT = Path(__file__).parents[2]
 COMPOSE, WITH_KEYS = ROOT / "docker-compose.yml", ROOT / "docker-compose.keys.yml"
-IN_ORDER_OF_THE_DATA = ["bus", "nodes", "gateway", "reconstructor", "classifier", "viewer"]
+IN_ORDER_OF_THE_DATA = ["nodes", "gateway", "reconstructor", "classifier", "viewer"]
 SETTINGS = dict(line.split("=", 1) for line in (ROOT / ".env").read_text().splitlines() if not line.startswith("#"))
 Service = dict[str, Any]
 
@@ -60,7 +60,7 @@ def test_each_profile_is_a_whole_skin_in_the_order_of_the_data(services: dict[st
     robot = ["skin-can", "classifier-can", "viewer-can"]
     assert list(of_profile(services, "robot")) == robot
     assert list(of_profile(services, "vcan")) == ["nodes-vcan", *robot]
-    assert len(services) == 10
+    assert len(services) == 9
     assert SETTINGS["COMPOSE_PROFILES"] == "virtual"
 
 
@@ -210,7 +210,6 @@ def test_the_commands_as_written_give_measurements_images_and_health(
     with Processes(boxes.folder) as running:
         for name, service in virtual.items():
             running.start(name, *boxes.service(service))
-            running.await_words("bus", "ready")
         running.await_words("viewer", "web page")  # the hub is there
         image = first_image(running, f"{UNIX}/{boxes.folder}/run/hub")
         assert np.frombuffer(image.pixels, "<f4").size == 64 * 64
@@ -223,5 +222,5 @@ def test_the_commands_as_written_give_measurements_images_and_health(
 @pytest.mark.slow
 def test_a_service_runs_where_nothing_at_all_can_be_written(services: dict[str, Service], boxes: Boxes) -> None:
     with Processes(boxes.folder) as running:
-        running.start("bus", *boxes.service(services["bus"], caches=False))
-        running.await_words("bus", "ready: bus0, bus1, bus2, bus3")
+        running.start("nodes", *boxes.service(services["nodes"], caches=False))
+        running.await_words("nodes", "waits for the fabric's hub")
