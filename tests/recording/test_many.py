@@ -40,7 +40,7 @@ def other(contract: Contract) -> Contract:
 
 def of_both(path: Path, contract: Contract, other: Contract) -> list[McapSink]:
     first = McapSink(path, other, 1, OFFSET_NS, part="other")
-    return [first, McapSink(path, contract, 1, OFFSET_NS, part="small", other=first)]
+    return [first, McapSink(first, contract, 1, OFFSET_NS, part="small")]
 
 
 @pytest.mark.parametrize("is_whole", [True, False])
