@@ -16,7 +16,7 @@ from bandwidth.wiring import wiring
 from canskin.errors import InputError
 from dbc.contract import Contract
 from shell.neighbours import new_serial, require_new, tell_shared
-from shell.output import check_new_path, check_picture_path, save_figure, write_file
+from shell.output import PICTURE_SUFFIXES, check_new_path, check_output_path, save_figure, write_file
 from shell.service import say
 from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
@@ -216,7 +216,7 @@ def _draw(skin: Layout, path: Path) -> Path:
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
-    check_picture_path(path)
+    check_output_path(path, "picture", *PICTURE_SUFFIXES)
     phi, surface = skin.phi(), skin.taxels.surface
     plane, scale = Plane(surface), 1 if surface.is_grid else _SCALE
     # Neighbouring numbers get colours far apart.

@@ -57,10 +57,8 @@ def classify(
     skin classify --objects paper
     skin classify --layout palm.toml --model palm.npz
     """
-    if model is not None and objects:
-        raise InputError("--model contains its objects: leave --objects out")
-    if model is not None and stroke is not None:
-        raise InputError("--model contains what it was trained on: leave --stroke out")
+    if model is not None and (objects or stroke is not None):
+        raise InputError("--model contains what it was trained on: leave --objects and --stroke out")
     if model is not None and not model.is_dir():
         read_model(model)  # before any wait for a hub
 
@@ -140,7 +138,7 @@ def train(
     choose
         Number of rows of Φ that separate the touches best, in place of the layout's; needs ``--layout-out``.
     layout_out
-        Layout file with the chosen rows: the model is for this layout.
+        New layout file with the chosen rows: the model is for this layout.
     recordings
         Recordings (.mcap), or folders of them, whose touches have labels (``skin record --label``, ``skin label``);
         needs ``--out``.
@@ -155,6 +153,8 @@ def train(
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     skin train --choose 64 --layout-out palm-64.toml --features sums
     """
+    if out is not None:
+        check_output_path(out, "model", ".npz")
     if recordings is not None:
         if objects or (touches or choose or layout_out) is not None:
             raise InputError(
@@ -167,8 +167,6 @@ def train(
     count = TOUCHES_PER_OBJECT * len(names) if touches is None else touches
     if count < 1 or seed < 0:
         raise InputError(f"expected --touches of 1 or more and --seed of 0 or more, got {count} and {seed}")
-    if out is not None:
-        check_output_path(out, "model", ".npz")
     if (choose is None) != (layout_out is None):
         raise InputError("--choose and --layout-out belong together: how many sums, and the file for their layout")
     if layout_out is not None:
@@ -199,7 +197,6 @@ def _train_recorded(
 
     if out is None:
         raise InputError("--recordings: expected --out FILE for the model, for 'skin classify --model FILE'")
-    check_output_path(out, "model", ".npz")
     with progress("reading recordings", 1.0) as bar:
         data = labelled_touches(recordings, layout, noise_n=noise_n, seed=seed)
         model = train_recorded(

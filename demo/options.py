@@ -11,7 +11,7 @@ from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
 from demo.rate import at_rate
 from reconstructor.options import SolverOptions
-from shell.output import check_picture_path
+from shell.output import PICTURE_SUFFIXES, check_output_path
 from shell.service import listen
 from shell.skin_options import Insecure, check_listen
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
@@ -90,7 +90,7 @@ class DemoOptions:
             layout = at_rate(layout, self.sync_rate)
         if self.view and self.port is not None:
             listen("127.0.0.1", self.port).close()
-        check_picture_path(self.picture)
+        check_output_path(self.picture, "picture", *PICTURE_SUFFIXES)
         if self.model is not None:
             if not self.classify:
                 raise InputError("--model is for the classifier: leave --no-classify out")

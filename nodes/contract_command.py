@@ -55,8 +55,8 @@ def contract(
     layout
         TOML of the skin; without it the default skin.
     out
-        Folder for the files, or of the files to check; default of ``--check`` without a layout: the files of the
-        project. With ``--program`` the new file.
+        Folder for the files, new or of an earlier run, or of the files to check; default of ``--check`` without a
+        layout: the files of the project. With ``--program`` the new file.
     check
         Compare the files with the layout; files of nodes and test vectors where their folders are.
     firmware

@@ -136,7 +136,7 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
 
     @app.meta.default
     def launch(
-        *tokens: Annotated[str, cyclopts.Parameter(show=False, allow_leading_hyphen=True)],
+        *tokens: Annotated[str, cyclopts.Parameter(show=False, allow_leading_hyphen=True, converter=cyclopts.convert)],
         verbose: Annotated[bool, cyclopts.Parameter(alias="-v", group=everywhere, negative=())] = False,
         quiet: Annotated[bool, cyclopts.Parameter(alias="-q", group=everywhere, negative=())] = False,
         log_json: Annotated[bool, cyclopts.Parameter(group=everywhere, negative=())] = False,

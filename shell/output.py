@@ -22,30 +22,21 @@ def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:
     return Path.home() / ".cache" / "canskin"
 
 
-def check_picture_path(path: Path) -> None:
-    """Check that a picture can be saved at `path`."""
-    check_output_path(path, "picture")
-    if path.suffix.lower() not in PICTURE_SUFFIXES:
-        raise InputError(f"{path}: expected a picture that ends in {', '.join(PICTURE_SUFFIXES)}, got '{path.suffix}'")
-
-
-def check_new_path(path: Path, what: str, suffix: str = "") -> None:
-    """Check that a new file that ends in `suffix` can be written at `path`; `what` names the file in the error."""
-    check_suffix(path, what, suffix)
+def check_new_path(path: Path, what: str, *suffixes: str) -> None:
+    """Check as `check_output_path` that a file can be written, and that none is there."""
     if path.exists():
         raise InputError(f"{path}: is there already; remove it, or choose another name")
-    check_output_path(path, what)
+    check_output_path(path, what, *suffixes)
 
 
-def check_suffix(path: Path, what: str, suffix: str) -> None:
-    """Check that a file to write ends in `suffix`; `what` names the file in the error."""
-    if suffix and path.suffix.lower() != suffix:
-        raise InputError(f"{path}: expected a file for the {what} that ends in {suffix}, got '{path.suffix}'")
+def check_output_path(path: Path, what: str, *suffixes: str) -> None:
+    """Check that a file can be written at `path`, which ends in one of `suffixes`, if there are any.
 
-
-def check_output_path(path: Path, what: str, suffix: str = "") -> None:
-    """Check that a file that ends in `suffix` can be written at `path`; `what` names the file in the error."""
-    check_suffix(path, what, suffix)
+    `what` names the file in the error.
+    """
+    if path.suffix.lower() not in (suffixes or {path.suffix.lower()}):
+        expected = f"a file for the {what} that ends in {', '.join(suffixes)}"
+        raise InputError(f"{path}: expected {expected}, got '{path.suffix}'")
     if not path.resolve().parent.is_dir():
         raise InputError(f"{path}: the folder for the {what} does not exist: make the folder, or give another path")
     is_new = not path.exists()

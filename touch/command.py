@@ -33,12 +33,12 @@ def objects(*names: str, meshes: Path | None = None, figure: Path | None = None,
     skin touch objects --figure objects.png
     skin touch objects --json | jq 'max_by(.contact_taxels).name'
     """
-    from shell.output import check_picture_path
+    from shell.output import PICTURE_SUFFIXES, check_output_path
     from touch.drawing import as_text, save_images
     from touch.objects import CATALOGUE, checked_names
 
     if figure is not None:
-        check_picture_path(figure)
+        check_output_path(figure, "picture", *PICTURE_SUFFIXES)
     images = _press_each(checked_names(names) if names else tuple(CATALOGUE), meshes)
     rows = [_describe(name, meshes, force_n) for name, force_n in images.items()]
     if json:

@@ -1,5 +1,6 @@
 """Ordinary mistakes at the verbs that need no running skin: one clear line, exit code 2, and nothing is written."""
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ MISTAKES = (
     ("layout check stamps.npz", "expected TOML"),
     ("layout check folder.mcap", "folder.mcap: cannot be read"),
     ("layout check pad --out x.toml", "--out is for 'skin layout new'"),
-    ("layout draw pad --out pad.gif", "expected a picture that ends in .png, .svg, .pdf, got '.gif'"),
+    ("layout draw pad --out pad.gif", "picture that ends in .png, .svg, .pdf, got '.gif'"),
     ("layout setings pad", 'Did you mean "settings"?'),
     ("plan --taxels 0", "expected 64 to 65536 taxels, got 0"),
     ("plan --taxels 24x32 --rate nan", "expected a rate above 0 and up to 2000 Hz, got nan"),
@@ -72,7 +73,7 @@ MISTAKES = (
     ("evaluate paper nothing", 'Invalid value "nothing" for PARTS'),
     ("evaluate paper sparsity --draws 0", "draws needs a whole number of 1 or more: got 0"),
     ("evaluate single-wire none", "no folder 'none'"),
-    ("layout new 24x32 --out=", "--out: expected a value, got an empty text"),
+    ("layout new 24x32 --out ''", "--out: expected a value, got an empty text"),
     ("train --layout pad --touches 0", "expected --touches of 1 or more"),
     ("train --layout pad --choose 0 --layout-out x.toml", "rows to keep, got 0"),
     ("train --layout pad --seed 1.5", "--seed: expected a whole number, got '1.5'"),
@@ -117,7 +118,7 @@ def test_a_mistake_has_one_clear_line(
 ) -> None:
     monkeypatch.chdir(files)
     before = sorted(files.iterdir())
-    status, _, said = skin(*typed.split())
+    status, _, said = skin(*shlex.split(typed))
     assert (status, said.count("\n")) == (2, 1)
     assert says in said
     assert sorted(files.iterdir()) == before

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from canskin.errors import InputError
-from shell.output import cache_folder, check_picture_path, write_file
+from shell.output import PICTURE_SUFFIXES, cache_folder, check_output_path, write_file
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ from shell.output import cache_folder, check_picture_path, write_file
 def test_path_that_cannot_be_used_is_told_before_the_run(name: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(InputError, match=says):
-        check_picture_path(tmp_path / name)
+        check_output_path(tmp_path / name, "picture", *PICTURE_SUFFIXES)
 
 
 def test_file_is_replaced_and_keeps_its_link_and_mode(tmp_path: Path) -> None:
