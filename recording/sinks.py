@@ -47,7 +47,7 @@ class McapSink(RecordingWriter):
     ----------
     recording : str
         See `recording.mcap_file.RECORDING`; default: name of the skin and time.
-    part, other
+    path, part
         As of `RecordingWriter`.
     """
 
@@ -55,14 +55,13 @@ class McapSink(RecordingWriter):
 
     def __init__(
         self,
-        path: Path,
+        path: Path | RecordingWriter,
         contract: Contract,
         now_ns: int,
         offset_ns: int,
         recording: str = "",
         *,
         part: str = "",
-        other: RecordingWriter | None = None,
     ) -> None:
         layout = contract.layout
         metadata = {
@@ -76,7 +75,7 @@ class McapSink(RecordingWriter):
         }
         files = [File(LAYOUT_FILE, "application/toml", layout_text(layout).encode())]
         files += [File(name, "text/plain", text.encode()) for name, text in contract_files(contract).items()]
-        super().__init__(path, metadata, files, now_ns, part=part, other=other)
+        super().__init__(path, metadata, files, now_ns, part)
         self._topics = [FRAMES + bus.name for bus in layout.bus]
         self._data_bytes = [FD_BYTES if bus.fd else CLASSIC_BYTES for bus in layout.bus]
         for number, bus in enumerate(layout.bus):
@@ -224,8 +223,7 @@ def open_sinks(path: Path, contracts: Sequence[Contract]) -> Sequence[Sink]:
     if not others:
         return [open_sink(path, first, now_ns, offset_ns)]
     sink = McapSink(path, first, now_ns, offset_ns, part=first.layout.name)
-    more = [McapSink(path, each, now_ns, offset_ns, part=each.layout.name, other=sink) for each in others]
-    return [sink, *more]
+    return [sink, *(McapSink(sink, each, now_ns, offset_ns, part=each.layout.name) for each in others)]
 
 
 def check_format(path: Path, layout: Layout | None = None) -> None:
