@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from importlib.metadata import version
 from itertools import islice
-from typing import Annotated, Final, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 from cyclopts import Parameter
 
@@ -69,11 +69,12 @@ def in_parallel(
 
 def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) -> Iterator[tuple[int, Result]]:
     try:
-        from distributed import Client, KilledWorker, as_completed
+        import distributed
     except ImportError as error:
         raise not_installed("--cluster needs distributed", "cluster") from error
+    dask: Any = distributed  # its classes have no types
     try:
-        client = Client(address, timeout=PATIENCE_S)
+        client = dask.Client(address, timeout=PATIENCE_S)
     except (OSError, ValueError) as error:
         raise RunError(f"--cluster {address}: no scheduler answers: is 'dask scheduler' running there?") from error
     with client:
@@ -83,7 +84,7 @@ def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) 
         if others := {worker: each for worker, each in versions.items() if each != own}:
             worker, other = others.popitem()
             raise InputError(f"--cluster {address}: {worker} has canskin {other}, expected {own}: install one version")
-        left, places, done = iter(enumerate(calls)), dict[str, int](), as_completed()
+        left, places, done = iter(enumerate(calls)), dict[object, int](), dask.as_completed()
 
         def begin(number: int | None) -> None:
             for place, call in islice(left, number):
@@ -95,7 +96,7 @@ def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) 
         for future in done:
             try:
                 yield places.pop(future.key), future.result()
-            except KilledWorker as error:
+            except dask.KilledWorker as error:
                 raise RunError(f"--cluster {address}: a call has ended several workers: {error}") from error
             begin(1)
 
