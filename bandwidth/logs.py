@@ -12,7 +12,7 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.log_file import LogFile
+from bandwidth.log_file import LogFile, open_log
 from bandwidth.measured import JUMP_NS
 from bus.link import DISCARDED, Link
 from bus.messages import to_logged_frames
@@ -58,15 +58,13 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     places: list[int] = []
     log: LogFile | None = None
     try:
-        with LogFile(path) as log:
+        with open_log(path) as log:
             for message in _limited(log, max(_FRAMES_MAX, path.stat().st_size // 2)):
                 _check(message)
                 found.append(message)
                 places.append(log.number)
     except Exception as error:  # the readers raise anything on a damaged file
-        where = f"{path}, {log.place}" if log is not None and log.number else f"{path}"
-        if log is not None and log.is_printed:
-            raise InputError(f"{where}: expected a log, got what candump shows: record it with 'candump -l'") from error
+        where = f"{path}, {log.unit} {log.number}" if log is not None and log.number else f"{path}"
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{where}: cannot be read as a log of CAN frames: {reason}") from error
     for line in log.missing():

@@ -131,14 +131,12 @@ class RecordingWriter:
 
     Parameters
     ----------
-    path : pathlib.Path
-        A new file.
+    path : pathlib.Path or RecordingWriter
+        A new file; or what writes another skin into the same file: one thread closes all of them.
     files : sequence of File
         Attachments.
     part : str
         Of a recording of several skins, the name of the skin that is written.
-    other : RecordingWriter, optional
-        What writes another skin into the same file; all of them are closed by one thread.
 
     Raises
     ------
@@ -148,18 +146,16 @@ class RecordingWriter:
 
     def __init__(
         self,
-        path: Path,
+        path: "Path | RecordingWriter",
         metadata: Mapping[str, str],
         files: Sequence[File],
         time_ns: int,
-        *,
         part: str = "",
-        other: "RecordingWriter | None" = None,
     ) -> None:
         self._prefix = f"{part}/" if part else ""
         self._channels: dict[str, int] = {}
         self._synced: Future[None] | None = None
-        self.opened: _Opened = _open(path) if other is None else other.opened
+        self.opened: _Opened = _open(path) if isinstance(path, Path) else path.opened
         self._file, self._writer, self._disk = self.opened
         self._writer.add_metadata(self._prefix + METADATA, dict(metadata))
         for each in files:
@@ -265,7 +261,7 @@ def part_of(path: Path, skin: str | None) -> Path:
         raise InputError(f"{path}: has no skin '{skin}', but {names}")
     if skin is None and parts and path not in parts.values():
         some = next(iter(parts.values()))
-        raise InputError(f"{path}: {file_of(path).name} has {names}: give --skin NAME, or {some} as its path")
+        raise InputError(f"{file_of(path)}: has {names}: give --skin NAME, or {some} as its path")
     return path if skin is None else parts[skin]
 
 

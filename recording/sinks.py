@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -40,56 +40,14 @@ _ORDER_NS: Final = 100_000_000
 _LIBRARIES: Final = ("canskin", "eclipse-zenoh", "python-can", "numpy", "mcap")
 
 
-class Sink(Protocol):
-    """Where a recorder writes. Every method raises OSError if the file cannot be written.
-
-    `now_ns` is the wall clock, and `offset_ns` the wall clock minus CLOCK_MONOTONIC.
-
-    Attributes
-    ----------
-    has_messages : bool
-        Messages of the fabric are written, not frames alone.
-    """
-
-    has_messages: bool
-
-    def frames(self, bus: int, arrived: Frames, now_ns: int, offset_ns: int) -> int:
-        """Add the frames of a bus; return how many of them the format holds."""
-        ...
-
-    def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
-        """Add a message of the fabric."""
-        ...
-
-    def note(self, topic: str, now_ns: int, values: Mapping[str, Any]) -> None:
-        """Add what the recorder itself says."""
-        ...
-
-    def attach(self, file: File, now_ns: int) -> None:
-        """Attach a file."""
-        ...
-
-    def flush(self) -> None:
-        """Make all that was added readable."""
-        ...
-
-    def close(self) -> None:
-        """Write the end of the file."""
-        ...
-
-    def abandon(self) -> None:
-        """Close a file that cannot be written any more."""
-        ...
-
-
 class McapSink(RecordingWriter):
-    """Writes frames and messages to an MCAP file.
+    """Writes frames and messages to an MCAP file, see `Sink`.
 
     Parameters
     ----------
     recording : str
         See `recording.mcap_file.RECORDING`; default: name of the skin and time.
-    part, other
+    path, part
         As of `RecordingWriter`.
     """
 
@@ -97,14 +55,13 @@ class McapSink(RecordingWriter):
 
     def __init__(
         self,
-        path: Path,
+        path: Path | RecordingWriter,
         contract: Contract,
         now_ns: int,
         offset_ns: int,
         recording: str = "",
         *,
         part: str = "",
-        other: RecordingWriter | None = None,
     ) -> None:
         layout = contract.layout
         metadata = {
@@ -118,7 +75,7 @@ class McapSink(RecordingWriter):
         }
         files = [File(LAYOUT_FILE, "application/toml", layout_text(layout).encode())]
         files += [File(name, "text/plain", text.encode()) for name, text in contract_files(contract).items()]
-        super().__init__(path, metadata, files, now_ns, part=part, other=other)
+        super().__init__(path, metadata, files, now_ns, part)
         self._topics = [FRAMES + bus.name for bus in layout.bus]
         self._data_bytes = [FD_BYTES if bus.fd else CLASSIC_BYTES for bus in layout.bus]
         for number, bus in enumerate(layout.bus):
@@ -131,7 +88,7 @@ class McapSink(RecordingWriter):
             self.add_topic(self._topics[number], "canskin-frames", about)
 
     def frames(self, bus: int, arrived: Frames, now_ns: int, _offset_ns: int) -> int:
-        """Add the frames of a bus."""
+        """Add the frames of a bus; return their number."""
         self.add(self._topics[bus], now_ns, to_bytes(arrived, self._data_bytes[bus]))
         return len(arrived)
 
@@ -159,8 +116,8 @@ class _Database:
 
     def stop(self) -> None:
         """Write the last rows, and close the file."""
-        self.flush()
-        self._rows.close()
+        with contextlib.closing(self._rows):
+            self.flush()
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
@@ -171,7 +128,7 @@ class _Database:
 
 
 class LogSink:
-    """Writes frames alone, in the format of python-can that the suffix names; messages are left out."""
+    """Writes frames alone, in the format of python-can that the suffix names; messages are left out. See `Sink`."""
 
     has_messages = False
 
@@ -187,7 +144,7 @@ class LogSink:
         self._offset_ns = 0
 
     def frames(self, bus: int, arrived: Frames, _now_ns: int, offset_ns: int) -> int:
-        """Add the frames of a bus that the format holds."""
+        """Add the frames of a bus that the format holds; return their number."""
         arrived = arrived[arrived["flags"] & self._not_held == 0]
         arrived["port"] = bus
         self._waiting = np.concatenate((self._waiting, arrived))
@@ -204,7 +161,7 @@ class LogSink:
         """Leave the file out."""
 
     def flush(self) -> None:
-        """Write the frames that no other bus can precede."""
+        """Make readable what was added: the frames that no other bus can precede."""
         if len(self._waiting):
             self._write(int(self._waiting["time_ns"].max()) - _ORDER_NS)
         getattr(self._log, "_flush", lambda: None)()  # BLF is written in containers
@@ -230,6 +187,11 @@ class LogSink:
                 message.is_error_frame, message.is_extended_id = False, True
                 message.arbitration_id |= CANDUMP_ERROR
             self._log.on_message_received(message)
+
+
+#: Where a recorder writes. Every method raises OSError if the file cannot be written. `now_ns` is the wall clock, and
+#: `offset_ns` the wall clock minus CLOCK_MONOTONIC. `has_messages`: messages of the fabric are written, too.
+Sink = McapSink | LogSink
 
 
 def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Sink:
@@ -261,8 +223,7 @@ def open_sinks(path: Path, contracts: Sequence[Contract]) -> Sequence[Sink]:
     if not others:
         return [open_sink(path, first, now_ns, offset_ns)]
     sink = McapSink(path, first, now_ns, offset_ns, part=first.layout.name)
-    more = [McapSink(path, each, now_ns, offset_ns, part=each.layout.name, other=sink) for each in others]
-    return [sink, *more]
+    return [sink, *(McapSink(sink, each, now_ns, offset_ns, part=each.layout.name) for each in others)]
 
 
 def check_format(path: Path, layout: Layout | None = None) -> None:

@@ -84,6 +84,8 @@ def _line(text: str, pattern: str) -> str:
 def _message(each: Any, origin: str) -> dict[str, Any]:
     """Return a message of a .dbc as a table of the layout; LayoutError if no bus can have it."""
     is_split = each.is_extended_frame and not each.is_fd and each.length > CLASSIC_MAX
+    if isinstance(each.cycle_time, str):
+        raise LayoutError(f"{origin}: message '{each.name}': expected a period in ms, got '{each.cycle_time}'")
     table = {
         "name": each.name,
         "origin": origin,

@@ -37,3 +37,22 @@ URDF = """<robot name="hand">
   <sensor name="tip"><parent link="tip"/>
     <tactile channel="tip"><taxel idx="1" xyz="0.002 0 0" rpy="0 0 0"/><taxel idx="0" xyz="0 0 0"/></tactile></sensor>
 </robot>"""
+
+
+#: A drive with a cyclic message, one of 29 bits, and one without a period.
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: Drive
+BO_ 389 Status: 6 Drive
+ SG_ Word : 0|16@1+ (1,0) [0|65535] "" Drive
+BO_ 2566848770 Far: 8 Drive
+ SG_ Far1 : 0|16@1+ (1,0) [0|65535] "" Drive
+BO_ 1413 Answer: 8 Drive
+BO_ 2566848771 Long: 39 Drive
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_ "GenMsgCycleTime" BO_ 389 10;
+BA_ "GenMsgCycleTime" BO_ 2566848770 100;
+BA_ "GenMsgCycleTime" BO_ 2566848771 100;
+"""

@@ -55,11 +55,11 @@ class Peer(msgspec.Struct, frozen=True):
         return f"canskin/{self.skin}/alive/{self.service}/{about}"
 
     def difference(self, other: "Peer") -> str:
-        """Return why this service cannot work with `other`, of the same skin.
+        """Return why this service cannot work with `other`, which is of the same skin.
 
-        Empty if it can, or `other` only reads, or is not known, or is of another skin: a hub has many.
+        Empty if it can, or `other` only reads, or is not known.
         """
-        if other.skin != self.skin or other.service not in MAKERS or not self.fingerprint or not other.fingerprint:
+        if other.service not in MAKERS or not self.fingerprint or not other.fingerprint:
             return ""
         if other.fingerprint != self.fingerprint:
             return (

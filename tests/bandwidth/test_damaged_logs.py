@@ -52,19 +52,30 @@ def test_frames_of_every_kind_are_read_or_named(
     assert said == says
 
 
+@pytest.mark.parametrize("first", [b"base hex  no internal events logged\n", b"base dec\n// a comment\n", b""])
+def test_an_asc_may_have_a_short_header_or_none(tmp_path: Path, first: bytes) -> None:
+    lines = b"".join(b"0.%d 1 385 Rx d 1 10\n" % number for number in range(3))
+    found, said = read(tmp_path / "a.asc", first + lines)
+    assert found["0"]["can_id"].tolist() == 3 * [385 if b"dec" in first else 0x385]
+    assert said == []
+
+
 def test_lengths_are_those_of_the_frames(tmp_path: Path) -> None:
     """The raw DLC B of a classic frame is 8 bytes, the DLC 9 of a frame of CAN FD is 12."""
     found, _ = read(tmp_path / "a.log", CORPUS["candump.log"])
     assert found["can0"]["length"].tolist()[:5] == [8, 8, 8, 5, 2]
+    assert found["can0"]["can_id"].tolist() == [0x181, 0x314, 0x315, 0x316, 0x317, 0x88, 0xC, 0x1ABCDEF]
     assert bytes(found["can0"]["data"][1, :8]).hex() == "1122334455667788"
     found, _ = read(tmp_path / "a.trc", CORPUS["errors-2-1.trc"])
     assert found["1"]["length"].tolist()[2] == 12
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-@pytest.mark.parametrize("name", ["candump.log", "candump.txt", "candump.log.gz", "absolute.asc", "errors-2-1.trc"])
+@pytest.mark.parametrize(
+    "name", ["candump.log", "candump.txt", "candump.log.gz", "absolute.asc", "errors-2-1.trc", "of.2026.trc.gz"]
+)
 def test_marks_of_the_encoding_are_understood(tmp_path: Path, name: str, encoding: str) -> None:
-    plain = CORPUS[name.replace(".gz", "").replace(".txt", ".log")]
+    plain = CORPUS[name.replace(".gz", "").replace(".txt", ".log").replace("of.2026", "errors-2-1")]
     content = plain.decode().removeprefix("# a comment\n; another\n").encode(encoding)
     found, _ = read(tmp_path / name, gzip.compress(content) if name.endswith(".gz") else content)
     (tmp_path / "other").mkdir()
@@ -79,11 +90,12 @@ def test_marks_of_the_encoding_are_understood(tmp_path: Path, name: str, encodin
     [
         ("a.log", b"(1.0) can0 181#01\n" + bytes(20) + b"(1.2) can0 181#01\n", "line 2: .* bytes of 0"),
         ("a.log", "(1.0) can0 181#01\n(1.1) can0 181#01\n".encode("utf-16-le"), "line 1: .* UTF-16 without a mark"),
+        ("a.trc", b";$FILEVERSION=1.2\n 1) 1.0 1 Rx 0181 1 01\n", "line 2: .* of TRC, got 1.2"),
         ("a.csv", b"1.0,0x181,0,0,0,1,AQ==\n", "line 1: .* expected the names of the columns"),
         ("a.csv", b"timestamp\n1.0,0x181,0,0,0,2,AQ==\n", "line 2: .* a frame of 2 bytes, of which the log holds 1"),
         ("a.asc", ASC.replace(b"06 07 08\n", b"06\n") % b"absolute", "line 7: .* of which the log holds 6"),
-        ("a.blf", blf_file([blf_frame(0), blf_object(1, bytes(4))]), "byte 144: cannot be read"),
-        ("a.blf", blf_file([blf_frame(0), b"LOBX" + blf_frame(1)[4:]]), "byte 144: .* no object where one is due"),
+        ("a.blf", blf_file([blf_frame(0), blf_object(1, bytes(4))]), "frame 1: cannot be read"),
+        ("a.blf", blf_file([blf_frame(0), b"LOBX" + blf_frame(1)[4:]]), "frame 1: .* no object where one is due"),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_place(tmp_path: Path, name: str, content: bytes, says: str) -> None:

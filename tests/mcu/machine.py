@@ -221,7 +221,17 @@ class Machine:
                 place = f"addr={SWITCHES + cpu * SWITCHES_STEP:#x}"
                 devices += ["-device", f"loader,{place},data={cpu},data-len=4"]
         return [
-            *("qemu-system-arm", "-M", "virt,highmem=off,gic-version=2", "-cpu", "cortex-a15"),
+            # The machine ends with the test, however that ends.
+            *(
+                "setpriv",
+                "--pdeathsig",
+                "KILL",
+                "qemu-system-arm",
+                "-M",
+                "virt,highmem=off,gic-version=2",
+                "-cpu",
+                "cortex-a15",
+            ),
             *("-smp", str(BOARDS + 1), "-m", "128M", "-accel", "tcg,thread=multi", "-display", "none", "-nodefaults"),
             *("-L", str(TOOLS / "usr/share/qemu"), "-object", "can-bus,id=bus", "-object", "can-bus,id=none", *devices),
             *("-device", f"{control},addr={BOARDS + 1}", "-chardev", "pty,id=adapter", "-serial", "chardev:adapter"),

@@ -48,10 +48,10 @@ class Master:
             raise PowerCutError
         return self._link.send(burst)
 
-    def lead(self, talk: _Talk) -> None:
-        """Lead a talk to its end."""
+    def lead(self, talk: _Talk, until: Callable[[], bool] = lambda: False) -> None:
+        """Lead a talk to its end, or until something is so."""
         give_up_s = time.monotonic() + PATIENCE_S
-        while not talk.done:
+        while not talk.done and not until():
             assert time.monotonic() < give_up_s, "the talk does not end"
             if select.select([self._link], [], [], 0.002)[0]:
                 talk.take(self._link.receive(), time.monotonic())

@@ -40,7 +40,7 @@ def other(contract: Contract) -> Contract:
 
 def of_both(path: Path, contract: Contract, other: Contract) -> list[McapSink]:
     first = McapSink(path, other, 1, OFFSET_NS, part="other")
-    return [first, McapSink(path, contract, 1, OFFSET_NS, part="small", other=first)]
+    return [first, McapSink(first, contract, 1, OFFSET_NS, part="small")]
 
 
 @pytest.mark.parametrize("is_whole", [True, False])
@@ -85,7 +85,7 @@ def test_verbs_take_the_skin_that_is_named_and_list_the_skins_without_a_name(
         code, _, told = skin(verb[0], str(many), *verb[1:])
         assert (code, told) == (
             2,
-            f"skin: {many}: run.mcap has the skins 'other', 'small': give --skin NAME, or {many}/other as its path\n",
+            f"skin: {many}: has the skins 'other', 'small': give --skin NAME, or {many}/other as its path\n",
         )
         code, _, told = skin(verb[0], str(many), "--skin", "arm", *verb[1:])
         assert (code, told) == (2, f"skin: {many}: has no skin 'arm', but the skins 'other', 'small'\n")

@@ -13,7 +13,8 @@ from skin.layout import Layout, changed, parse_layout, validated
 from tests.layouts import layout_toml
 from tests.processes import Verb
 
-PALM = parse_layout(layout_toml(16, 16, name="palm").encode(), "palm.toml")
+FIRST = 100
+PALM = parse_layout(layout_toml(16, 16, name="palm", device={"first_serial": FIRST}).encode(), "palm.toml")
 
 
 def of(name: str, first_serial: int) -> Layout:
@@ -23,19 +24,23 @@ def of(name: str, first_serial: int) -> Layout:
 def test_a_layout_is_compared_with_the_skins_of_a_hub(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     monkeypatch.setattr(neighbours, "say", lambda _service, text: told.append(text))
-    last = PALM.blocks
+    below, above = FIRST - PALM.blocks, FIRST + PALM.blocks
     with closing(join(PALM, "gateway", endpoint, hub=True)):
         with pytest.raises(InputError, match=r"skin 'palm' is at .* already: give a --out of another name"):
             require_new("palm", endpoint)
         require_new("hand", endpoint)
-        for apart in (PALM, of("hand", last + 1)):
+        for apart in (PALM, of("hand", below), of("hand", above)):
             tell_shared(apart, "contract", endpoint)
         assert not told
-        tell_shared(of("hand", last), "contract", endpoint)
-    assert told[0].startswith(f"serial numbers {last} to {2 * last - 1} are those of skin 'palm', too")
+        for first_serial in (below + 1, above - 1):
+            tell_shared(of("hand", first_serial), "contract", endpoint)
+    assert [line.partition(", too")[0] for line in told] == [
+        f"serial numbers {first} to {first + PALM.blocks - 1} are those of skin 'palm'"
+        for first in (below + 1, above - 1)
+    ]
     require_new("palm", endpoint)
-    tell_shared(of("hand", 1), "contract", endpoint)
-    assert len(told) == 1
+    tell_shared(of("hand", FIRST), "contract", endpoint)
+    assert len(told) == 2
 
 
 def test_new_skins_have_serial_numbers_of_their_own(skin: Verb, tmp_path: Path) -> None:

@@ -9,25 +9,8 @@ import tomli_w
 from canskin.errors import LayoutError
 from dbc.contract import Contract
 from skin.layout import layout_text, load_layout, parse_layout
+from tests.descriptions import DBC
 from tests.layouts import layout_toml, small_layout
-
-#: A drive with a cyclic message, one of 29 bits, and one without a period.
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: Drive
-BO_ 389 Status: 6 Drive
- SG_ Word : 0|16@1+ (1,0) [0|65535] "" Drive
-BO_ 2566848770 Far: 8 Drive
- SG_ Far1 : 0|16@1+ (1,0) [0|65535] "" Drive
-BO_ 1413 Answer: 8 Drive
-BO_ 2566848771 Long: 39 Drive
-BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
-BA_DEF_DEF_ "GenMsgCycleTime" 0;
-BA_ "GenMsgCycleTime" BO_ 389 10;
-BA_ "GenMsgCycleTime" BO_ 2566848770 100;
-BA_ "GenMsgCycleTime" BO_ 2566848771 100;
-"""
 
 
 def bus(**keys: Any) -> dict[str, Any]:

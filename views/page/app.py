@@ -16,7 +16,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
-from canskin.errors import SkinError
+from canskin.errors import UNDECODABLE, SkinError
 from views.colours import script
 from views.page.actions import ACTIONS, Action
 from views.page.guard import HEALTH, Access, Guard
@@ -153,7 +153,7 @@ async def _act(request: Request, allowed: Mapping[str, Action]) -> Response:
         return _json(413, {"error": f"expected a request of up to {REQUEST_BYTES} bytes"})
     try:
         asked = msgspec.json.decode(await request.body(), type=allowed[name].asked)
-    except msgspec.DecodeError as error:
+    except UNDECODABLE as error:
         return _json(400, {"error": str(error)})
     try:
         return _json(200, {"text": await run_in_threadpool(allowed[name].act, asked)})

@@ -174,6 +174,12 @@ def test_no_other_page_can_tare_a_skin(skin: Skin, headers: dict[str, str]) -> N
     assert skin.gateway.asked == []
 
 
+def test_a_body_that_is_no_text_is_refused(skin: Skin) -> None:
+    headers = {"origin": PAGE, "content-type": "application/json"}
+    asked = skin.client.post("/api/tare", content=b'{"region": "\xff"}', headers=headers)
+    assert (asked.status_code, "utf-8" in asked.json()["error"]) == (400, True)
+
+
 def test_no_program_without_the_token_can_tare_a_skin(skin: Skin) -> None:
     skin.client.cookies.clear()
     status, told = skin.post("tare", {})
