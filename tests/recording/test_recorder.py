@@ -1,6 +1,7 @@
 """What comes is in the file: frames of every bus, and messages as they were published."""
 
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -167,6 +168,18 @@ def test_a_full_disk_is_said_of_a_database_too(tmp_path: Path) -> None:
     (tmp_path / "is a folder.db").mkdir()
     with pytest.raises(OSError, match="SQLite"):
         open_sink(tmp_path / "is a folder.db", ONE_BUS, 0, 0)
+
+
+def test_a_database_whose_last_rows_fail_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(sqlite3.Connection):
+        def commit(self) -> None:
+            raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(sqlite3, "connect", partial(sqlite3.connect, factory=Full))
+    sink = open_sink(tmp_path / "run.db", ONE_BUS, 0, 0)
+    with pytest.raises(OSError, match="disk is full"):
+        sink.close()
+    assert "run.db" not in [each.readlink().name for each in Path("/proc/self/fd").iterdir() if each.exists()]
 
 
 @pytest.mark.parametrize("name", ["run.mcap", "run.log"])
