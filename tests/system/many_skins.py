@@ -1,8 +1,9 @@
 """Skins without boards, and workers that are killed or stopped while they serve them.
 
 ``python -m tests.system.many_skins 100 kill stop`` does both a hundred times in all, and prints the losses; ``unshare
--Urn sh -c "ip link set lo up; python -m tests.system.many_skins 20 cut"`` cuts them off; ``... gateways ENDPOINT SIDE
-RATE_HZ NAME...`` runs the gateways alone: each publishes sums of a ball that moves on SIDE x SIDE taxels.
+-Urn sh -c "ip link set lo up; python -m tests.system.many_skins 20 cut"`` cuts them off; ``... carry SIDE COUNT...``
+tells what one worker needs for these numbers of skins of SIDE x SIDE taxels; ``... gateways ENDPOINT SIDE RATE_HZ
+NAME...`` runs the gateways alone: each publishes sums of a ball that moves.
 """
 
 import json
@@ -209,11 +210,41 @@ def disturb(processes: Processes, endpoint: str, names: list[str], faults: list[
     }
 
 
+def carry(processes: Processes, endpoint: str, side: int, count: int) -> dict[str, Any]:
+    """Have one worker serve skins of SIDE x SIDE taxels, and return what it tells of itself, once settled, in 5 s."""
+    names = [f"skin{number}" for number in range(count)]
+    processes.start("gateways", *GATEWAYS, endpoint, str(side), str(RATE_HZ), *names)
+    processes.await_words("gateways", "up")
+    told: dict[str, list[ServiceStatus]] = {name: [] for name in names}
+    with ExitStack() as stack:
+        for name in names:
+            fabric = stack.enter_context(closing(Fabric(name, "", endpoint)))
+            fabric.mailbox(IMAGE)  # so that images are sent
+            fabric.subscribe(SERVICES, told[name].append)
+        processes.skin("worker", "reconstruct", "--connect", endpoint, "--priority", "normal")
+        processes.until(lambda: min(map(len, told.values())) >= 8, "eight statuses of each skin")
+    settled = [each[-6:] for each in told.values()]
+    return {
+        "skins": count,
+        "taxels": side**2,
+        "load_ratio": round(float(np.mean([each.load_ratio for statuses in settled for each in statuses[1:]])), 2),
+        "images_per_s": round(
+            sum((each[-1].made - each[0].made) * 1e9 / (each[-1].time_ns - each[0].time_ns) for each in settled)
+        ),
+        "overruns": sum(each[-1].overruns - each[0].overruns for each in settled),
+        "memory_mb": max(each[-1].memory_bytes for each in settled) >> 20,
+    }
+
+
 GATEWAYS: Final = (sys.executable, "-m", "tests.system.many_skins", "gateways")
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["gateways"]:
         serve_gateways(sys.argv[2], int(sys.argv[3]), float(sys.argv[4]), sys.argv[5:])
+    elif sys.argv[1:2] == ["carry"]:
+        for given in sys.argv[3:]:
+            with tempfile.TemporaryDirectory() as folder, Processes(Path(folder)) as processes:
+                print(json.dumps(carry(processes, free_endpoint(), int(sys.argv[2]), int(given))), flush=True)
     else:
         rng, count, kinds = random.Random(1), int(sys.argv[1]), sys.argv[2:]
         endpoint = "tcp/0.0.0.0:7447" if "cut" in kinds else free_endpoint()
