@@ -104,7 +104,18 @@ PROGRAMS: Final[dict[str, Callable[[Sequence[str]], bool]]] = {
     ".venv/bin/pytest": is_of_pytest,
     "python": is_of_pytest,
     **dict.fromkeys(
-        ("arm-none-eabi-objcopy", "can_logger", "candump", "cc", "export", "git", "ip", "lerobot-record"), anything
+        (
+            "arm-none-eabi-gcc",
+            "arm-none-eabi-objcopy",
+            "can_logger",
+            "candump",
+            "cc",
+            "export",
+            "git",
+            "ip",
+            "lerobot-record",
+        ),
+        anything,
     ),
     **dict.fromkeys(("printf", "ros2", "sleep", "skin-alive", "systemctl"), anything),
 }

@@ -107,9 +107,9 @@ class Machine:
             stderr=subprocess.STDOUT,
         )
         assert self._process.stdout is not None
-        line = self._process.stdout.readline().decode()
-        found = re.search(r"/dev/pts/\d+", line)
-        assert found, line
+        lines = iter(self._process.stdout.readline, b"")
+        found = next(filter(None, (re.search(r"/dev/pts/\d+", line.decode()) for line in lines)), None)
+        assert found, "QEMU does not start"
         self.terminal = found[0]
         # QEMU looks once a second whether a terminal that was closed is open again: hold it open.
         self._held = os.open(self.terminal, os.O_RDWR | os.O_NOCTTY)

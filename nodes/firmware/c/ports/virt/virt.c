@@ -129,7 +129,7 @@ uint8_t port_node_id(void)
 
 uint32_t port_serial_number(void)
 {
-    return virt_cpu();
+    return port_node_id() == 0 ? virt_cpu() : 0;
 }
 
 uintptr_t flash_base(void)
