@@ -4,7 +4,7 @@ import hashlib
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -14,12 +14,12 @@ import msgspec
 
 from calibration.calibrator import Tare
 from calibration.offline import make_calibrator
-from canskin.errors import InputError, RunError, SkinError
+from canskin.errors import InputError, RunError, SkinError, reasoned
 from dbc.contract import Contract
 from reconstructor.imaging import Imager, make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import warm_up
-from recording import RECORDING_SUFFIX, is_recording
+from recording import RECORDING_SUFFIX, file_of, is_recording
 from recording.image_arrays import ImageArrays
 from recording.mcap_file import part_of, recording_id, wall_offset_ns
 from recording.replaying import Replay
@@ -29,7 +29,7 @@ from shell.output import alone, write_file
 from shell.parallel import in_parallel
 from shell.service import StopSignal, say
 from shell.terminal import progress
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, layout_text, load_layout
 
 MANIFEST: Final = "manifest.json"
 #: Ends the name of a file of images alone.
@@ -48,9 +48,16 @@ class Settings:
     gains: Path | None = None
 
     def digest(self) -> str:
-        """Return a digest of the settings, of the files that they name, and of the version of canskin."""
-        named = {name: value.read_bytes() for name, value in vars(self).items() if isinstance(value, Path)}
-        told = repr((version("canskin"), {**asdict(self), **named}))
+        """Return a digest of the settings, of the layout and the files that they name, and of the version of canskin.
+
+        Raises
+        ------
+        SkinError
+            If one of these cannot be read.
+        """
+        layout = None if self.layout is None else layout_text(load_layout(self.layout))
+        files = [each if each is None else _digest(each) for each in (self.calibration, self.gains)]
+        told = repr((version("canskin"), self.skin, self.solver, self.tare, layout, files))
         return hashlib.sha256(told.encode()).hexdigest()[:16]
 
     def about(self, source: Path, skin: Layout) -> dict[str, Any]:
@@ -142,6 +149,9 @@ def replay_folder(folder: Path, out: Path, settings: Settings, jobs: int | str) 
     sources = {path.name: path.absolute() for path in sorted(folder.glob(f"*{RECORDING_SUFFIX}"))}
     if not sources:
         raise InputError(f"{folder}: expected recordings of 'skin record' (*{RECORDING_SUFFIX}), found none")
+    # Workers have folders of their own in which they started.
+    files = {name: path for name, path in vars(settings).items() if isinstance(path, Path) and file_of(path).is_file()}
+    settings = replace(settings, **{name: path.absolute() for name, path in files.items()})
     with alone(out):
         manifest, digest = _manifest(out / MANIFEST), settings.digest()
         made = {name: each for name, each in manifest.items() if name in sources}
@@ -178,7 +188,7 @@ def _manifest(path: Path) -> dict[str, Made]:
 
 
 def _digest(path: Path) -> str:
-    with path.open("rb") as file:
+    with reasoned(InputError, f"{path}: cannot be read"), path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -1,10 +1,12 @@
 """Independent work in parallel: on this machine's cores, or on those of many machines."""
 
 import contextlib
+import logging
 import signal
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
 from importlib.metadata import version
 from itertools import islice
 from typing import Annotated, Any, Final, TypeVar
@@ -48,7 +50,7 @@ def in_parallel(
     InputError
         If there is no job, distributed is missing, or a worker has another version of canskin.
     RunError
-        If no scheduler answers, it has no workers, or a call has killed several of them.
+        If no scheduler answers, it has no workers or is lost, or a call has killed several of them.
     """
     if isinstance(jobs, str):
         yield from _on_cluster(calls, jobs, ahead)
@@ -73,17 +75,18 @@ def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) 
     except ImportError as error:
         raise not_installed("--cluster needs distributed", "cluster") from error
     dask: Any = distributed  # its classes have no types
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it has tracebacks of its own for a lost scheduler
     try:
         client = dask.Client(address, timeout=PATIENCE_S)
     except (OSError, ValueError) as error:
         raise RunError(f"--cluster {address}: no scheduler answers: is 'dask scheduler' running there?") from error
     with client:
-        own, versions = version("canskin"), client.run(version, "canskin")
+        own, versions = version("canskin"), client.run(version, "canskin", on_error="return")
         if not versions:
             raise RunError(f"--cluster {address}: the scheduler has no workers: 'dask worker {address} --nthreads 1'")
         if others := {worker: each for worker, each in versions.items() if each != own}:
             worker, other = others.popitem()
-            raise InputError(f"--cluster {address}: {worker} has canskin {other}, expected {own}: install one version")
+            raise InputError(f"--cluster {address}: {worker}: expected canskin {own}, got {other}: install one version")
         left, places, done = iter(enumerate(calls)), dict[object, int](), dask.as_completed()
 
         def begin(number: int | None) -> None:
@@ -98,6 +101,8 @@ def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) 
                 yield places.pop(future.key), future.result()
             except dask.KilledWorker as error:
                 raise RunError(f"--cluster {address}: a call has ended several workers: {error}") from error
+            except CancelledError as error:
+                raise RunError(f"--cluster {address}: the scheduler is lost") from error
             begin(1)
 
 

@@ -2,16 +2,17 @@
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, LayoutError, RunError
 from recording.replay_command import replay
-from recording.replay_folder import MANIFEST, Made
+from recording.replay_folder import MANIFEST, Made, Settings
 from shell.parallel import in_parallel
 from tests.layouts import small_layout
 from tests.recordings import write_touches
@@ -63,6 +64,25 @@ def test_what_is_missing_is_made(folder: Path, tmp_path: Path) -> None:
     assert not again["torn.mcap"].error
     replay(runs, out=out, jobs=1, gains=None, tare="never")
     assert manifest(out) == again
+
+
+def test_a_layout_is_named_as_in_other_verbs(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    told: list[Settings] = []
+
+    def note(calls: list[partial[Made]], _jobs: int) -> Iterator[tuple[int, Made]]:
+        told.append(calls[0].args[2])
+        yield from ()
+
+    monkeypatch.setattr("recording.replay_folder.in_parallel", note)
+    recorded = Path("run0.mcap")
+    for layout in (Path("steps"), recorded):
+        replay(folder, out=tmp_path / "out", layout=layout, jobs=1)
+    assert [each.layout for each in told] == [Path("steps"), folder / recorded]
+    with pytest.raises(LayoutError, match="cannot read the layout"):
+        replay(folder, out=tmp_path / "out", layout=Path("no.toml"), jobs=1)
+    with pytest.raises(InputError, match="cannot be read"):
+        replay(folder, out=tmp_path / "out", gains=Path("no.json"), jobs=1)
 
 
 @pytest.mark.slow
