@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 from cyclopts import Parameter
 
 from canskin.errors import InputError
+from shell.parallel import Cluster
 from shell.terminal import Json, print_json, print_table
 
 if TYPE_CHECKING:
@@ -36,18 +37,21 @@ class RunOptions:
         Processes at the same time. Default: one per core.
     seed
         Of all random numbers but those that draw scenes.
+    cluster
+        In place of `jobs`.
     """
 
     quick: bool = False
     out: Path | None = None
     jobs: int | None = None
     seed: int = 0
+    cluster: Cluster = None
 
     def options(self, **given: object) -> "Options":
         """Return these options with those of a subject."""
         from evaluation.result import Options
 
-        jobs = self.jobs if self.jobs is not None else os.cpu_count() or 1
+        jobs = self.cluster or (self.jobs if self.jobs is not None else os.cpu_count() or 1)
         return Options(quick=self.quick, out=self.out, jobs=jobs, seed=self.seed, **given)  # type: ignore[arg-type]
 
 
@@ -99,7 +103,7 @@ def paper(
         "classification": classification.evaluate,
     }
     out = run.out if run.out is not None or parts else REPORT
-    options = RunOptions(run.quick, out, run.jobs, run.seed).options(meshes=meshes, draws=draws)
+    options = RunOptions(run.quick, out, run.jobs, run.seed, run.cluster).options(meshes=meshes, draws=draws)
     results = {name: evaluators[name](options) for name in get_args(Part) if name in (parts or evaluators)}
     if not parts and out is not None:
         kept = reached.stored({name: found.rows for name, found in results.items()}, options)

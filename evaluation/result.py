@@ -29,7 +29,7 @@ class Options:
     meshes: Path | None = None
     recordings: Path | None = None
     out: Path | None = None
-    jobs: int = 1
+    jobs: int | str = 1
     draws: int | None = None
     seed: int = 0
     scenes: int = 10
@@ -46,7 +46,7 @@ class Options:
         numbers = {"jobs": (self.jobs, 1), "draws": (self.draws, 1), "seed": (self.seed, 0)}
         numbers |= {"scenes": (self.scenes, 0), "scene-seed": (self.scene_seed, 0)}
         for name, (number, least) in numbers.items():
-            if number is not None and number < least:
+            if isinstance(number, int) and number < least:
                 raise InputError(f"{name} needs a whole number of {least} or more: got {number}")
 
     @property

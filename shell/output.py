@@ -1,6 +1,7 @@
 """Files that programs write: paths are checked before the work, files are written in one step, or kept in a cache."""
 
 import contextlib
+import fcntl
 import io
 import os
 import secrets
@@ -10,6 +11,8 @@ from typing import Any, BinaryIO, Final
 
 from canskin.errors import InputError, reasoned
 
+#: Of a folder that one run uses.
+LOCK: Final = ".lock"
 PICTURE_SUFFIXES: Final = (".png", ".svg", ".pdf")
 
 
@@ -101,3 +104,24 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with contextlib.suppress(OSError):
             draft.unlink()
         raise
+
+
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Lock a folder, made if need be, against other runs; raise InputError if another run uses it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise InputError(f"'{folder}' cannot be used as a folder: {error}; give another --out") from error
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(handle)
+        raise InputError(f"another run uses '{folder}': wait for its end, or give another --out") from error
+    try:
+        for draft in folder.rglob(".*.part"):  # of a run that was killed
+            draft.unlink(missing_ok=True)
+        yield
+    finally:
+        os.close(handle)

@@ -1,30 +1,58 @@
-"""Independent work in parallel, on this machine's cores."""
+"""Independent work in parallel: on this machine's cores, or on those of many machines."""
 
 import contextlib
 import signal
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import TypeVar
+from importlib.metadata import version
+from itertools import islice
+from typing import Annotated, Any, Final, TypeVar
 
-from canskin.errors import InputError
+from cyclopts import Parameter
+
+from canskin.errors import InputError, RunError
+from shell.extras import not_installed
 
 Result = TypeVar("Result")
 Call = Callable[[], Result]
+#: The option of a verb that has much independent work.
+Cluster = Annotated[
+    str | None,
+    Parameter(
+        name="--cluster",
+        help="Address of a scheduler of dask.distributed, whose workers do the work; see docs/data.md.",
+    ),
+]
+#: Longest wait for a scheduler.
+PATIENCE_S: Final = 10.0
 
 
-def in_parallel(calls: Sequence[Call[Result]], jobs: int, *, ahead: int | None = None) -> Generator[tuple[int, Result]]:
+def in_parallel(
+    calls: Sequence[Call[Result]], jobs: int | str, *, ahead: int | None = None
+) -> Generator[tuple[int, Result]]:
     """Yield the index and the result of each call, in the order of completion.
 
     Parameters
     ----------
     calls : sequence of callable
         Called without arguments; calls and results must be picklable.
-    jobs : int
-        Number of processes, each with one thread; 1 uses this process.
+    jobs : int or str
+        Number of processes, each with one thread; 1 uses this process. Or the address of a scheduler of
+        dask.distributed: the calls of a worker that dies are made again by others.
     ahead : int, optional
         Calls per job that run before their results are yielded, to limit the memory of large results; default: all.
+
+    Raises
+    ------
+    InputError
+        If there is no job, distributed is missing, or a worker has another version of canskin.
+    RunError
+        If no scheduler answers, it has no workers, or a call has killed several of them.
     """
+    if isinstance(jobs, str):
+        yield from _on_cluster(calls, jobs, ahead)
+        return
     if jobs < 1:
         raise InputError(f"expected 1 job or more, got {jobs}")
     if jobs == 1 or len(calls) < 2:
@@ -37,6 +65,40 @@ def in_parallel(calls: Sequence[Call[Result]], jobs: int, *, ahead: int | None =
             with _begun(calls[first : first + size], jobs) as done:
                 for place, result in done:
                     yield first + place, result
+
+
+def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) -> Iterator[tuple[int, Result]]:
+    try:
+        import distributed
+    except ImportError as error:
+        raise not_installed("--cluster needs distributed", "cluster") from error
+    dask: Any = distributed  # its classes have no types
+    try:
+        client = dask.Client(address, timeout=PATIENCE_S)
+    except (OSError, ValueError) as error:
+        raise RunError(f"--cluster {address}: no scheduler answers: is 'dask scheduler' running there?") from error
+    with client:
+        own, versions = version("canskin"), client.run(version, "canskin")
+        if not versions:
+            raise RunError(f"--cluster {address}: the scheduler has no workers: 'dask worker {address} --nthreads 1'")
+        if others := {worker: each for worker, each in versions.items() if each != own}:
+            worker, other = others.popitem()
+            raise InputError(f"--cluster {address}: {worker} has canskin {other}, expected {own}: install one version")
+        left, places, done = iter(enumerate(calls)), dict[object, int](), dask.as_completed()
+
+        def begin(number: int | None) -> None:
+            for place, call in islice(left, number):
+                future = client.submit(call, pure=False)
+                places[future.key] = place
+                done.add(future)
+
+        begin(None if ahead is None else ahead * len(versions))
+        for future in done:
+            try:
+                yield places.pop(future.key), future.result()
+            except dask.KilledWorker as error:
+                raise RunError(f"--cluster {address}: a call has ended several workers: {error}") from error
+            begin(1)
 
 
 @contextlib.contextmanager

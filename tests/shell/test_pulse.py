@@ -47,7 +47,7 @@ def test_a_service_tells_once_a_second_what_it_made_took_and_lost(endpoint: str)
 def test_a_role_that_may_tell_nothing_stops_no_service() -> None:
     now_s = 0.0
     pulse = Pulse(threading.Event(), lambda: now_s)
-    pulse.fabric = mock.Mock(overruns=0, service="new", instance="1")
+    pulse.fabric = mock.Mock(overruns=0, service="new", instance="1", clock_ns=(0, -1))
     pulse.fabric.missed.counts.return_value = {}
     pulse.fabric.publish.side_effect = DeniedError("may not put 'services'")
     now_s = 2 * PERIOD_S

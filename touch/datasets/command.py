@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from canskin.errors import InputError
-from shell.parallel import in_parallel
+from shell.output import alone
+from shell.parallel import Cluster, in_parallel
 from shell.terminal import Json, print_json, print_table, progress
 from touch.coarse_arrays import ARRAYS
-from touch.datasets.folder import DatasetFolder, alone
+from touch.datasets.folder import DatasetFolder
 from touch.datasets.options import AcquisitionOptions, ClassificationOptions, TaxelOptions
 from touch.datasets.plan import DatasetPlan, plan_acquisition, plan_classification
 from touch.objects import checked_names
@@ -32,6 +33,7 @@ def dataset(
     meshes: Path | None = None,
     seed: int = 0,
     jobs: int | None = None,
+    cluster: Cluster = None,
     slides: AcquisitionOptions = _SLIDES,
     touches: ClassificationOptions = _TOUCHES,
     taxels: TaxelOptions = _TAXELS,
@@ -87,15 +89,12 @@ def dataset(
             model=model,
             seed=seed,
         )
-    processes = (os.cpu_count() or 1) if jobs is None else jobs
-    if processes < 1:
-        raise InputError(f"expected 1 job or more, got {processes}")
     with alone(out):
-        done = fill(plan, out, processes)
+        done = fill(plan, out, cluster or ((os.cpu_count() or 1) if jobs is None else jobs))
     _show(done, as_json=json)
 
 
-def fill(plan: DatasetPlan, out: Path, jobs: int) -> dict[str, Any]:
+def fill(plan: DatasetPlan, out: Path, jobs: int | str) -> dict[str, Any]:
     """Make the missing files of a data set, with a progress bar on a terminal's stderr.
 
     Returns

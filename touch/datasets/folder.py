@@ -4,11 +4,8 @@ A file is valid if the manifest names it with the right digest. Files and manife
 then renamed, so an interrupted run leaves no incomplete file that looks complete.
 """
 
-import contextlib
-import fcntl
 import io
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any, Final
@@ -17,14 +14,13 @@ import msgspec
 import numpy as np
 
 from canskin.errors import UNDECODABLE, InputError, RunError
-from shell.output import write_file
+from shell.output import LOCK, write_file
 from skin.difference import difference
 from skin.limits import TEXT_BYTES_MAX, read_file
 from touch.contact import Force
 
 FORMAT: Final = "canskin data set 1"
 MANIFEST: Final = "manifest.json"
-_LOCK: Final = ".lock"
 
 
 class DatasetFolder:
@@ -79,7 +75,7 @@ class DatasetFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             if not path.exists():
-                others = [each.name for each in self.path.iterdir() if each.name != _LOCK]
+                others = [each.name for each in self.path.iterdir() if each.name != LOCK]
                 if others:
                     raise InputError(f"'{self.path}' holds {others[0]} and no data set: give an empty or new folder")
                 return {}
@@ -111,24 +107,3 @@ class DatasetFolder:
             write_file(place, content)
         except OSError as error:
             raise RunError(f"'{place}' cannot be written: {error}; run it again to go on") from error
-
-
-@contextlib.contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder, made if need be, against other runs; raise InputError if another run uses it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-    except OSError as error:
-        raise InputError(f"'{folder}' cannot be used as a folder: {error}; give another --out") from error
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(handle)
-        raise InputError(f"another run uses '{folder}': wait for its end, or give another --out") from error
-    try:
-        for draft in folder.rglob(".*.part"):  # of a run that was killed
-            draft.unlink(missing_ok=True)
-        yield
-    finally:
-        os.close(handle)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from touch.datasets.folder import DatasetFolder, alone
+from shell.output import alone
+from touch.datasets.folder import DatasetFolder
 
 ABOUT: dict[str, Any] = {
     "data_set": "acquisition",
