@@ -8,7 +8,8 @@ from calibration.calibrator import Tare
 from calibration.keeping import kept_zero
 from canskin.calibration_messages import CALIBRATION, ZERO
 from canskin.fabric import Fabric
-from canskin.session import DEFAULT_ENDPOINT
+from canskin.keys import environment_keys
+from canskin.session import DEFAULT_ENDPOINT, checked
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
 from gateway.duty import Duties
@@ -76,6 +77,7 @@ def gateway(
     pulse = Pulse(stop)
     if connect is None:
         check_listen(listen, insecure=insecure)
+    checked(connect or listen, environment_keys())  # the buses come first, and may be waited for
     skin = load_layout(layout)
     rates_hz = publishing_rates(max_rate, min_rate)
     if (max_rate, min_rate) != (None, None):

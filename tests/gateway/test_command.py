@@ -8,7 +8,7 @@ import pytest
 
 from bus.options import BusOptions
 from canskin.calibration_messages import CALIBRATION, ZERO, Question
-from canskin.errors import InputError
+from canskin.errors import BusError, InputError
 from gateway import command
 from shell import skin_options
 from shell.service import StopSignal
@@ -141,3 +141,13 @@ def test_a_hub_for_a_network_without_keys_must_be_asked_for(monkeypatch: pytest.
         command.gateway(listen=listen)
     with pytest.raises(KeyboardInterrupt):
         command.gateway(listen=listen, insecure=True)
+
+
+@pytest.mark.parametrize("wrong", [{"listen": "tcp/127.0.0.1:99999"}, {"connect": "nonsense"}])
+def test_an_endpoint_is_looked_at_before_buses_are_waited_for(
+    monkeypatch: pytest.MonkeyPatch, wrong: dict[str, str]
+) -> None:
+    parts = Parts(monkeypatch)
+    with pytest.raises(BusError, match="expected an endpoint"):
+        command.gateway(**wrong)  # type: ignore[arg-type]  # both are texts
+    assert not parts.calls

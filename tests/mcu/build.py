@@ -84,7 +84,12 @@ def build(contract: Contract, folder: Path) -> Images:
         for name in ("main.c", "queues.c", "can_ctucanfd.c" if is_fd else "can_sja1000.c", "virt/converters.c")
     ]
     adapter = [ports / name for name in ("queues.c", "can_ctucanfd.c")]
-    options = ["-DSKIN_BLOCK_SEGMENTS=16u", f"-DSKIN_FRAME_BYTES={64 if is_fd else 8}", f"-DVIRT_FD={int(is_fd)}"]
+    # A block of four segments fits into the FIFO of an SJA1000: it is not lost when the processor stands still.
+    options = [
+        f"-DSKIN_BLOCK_SEGMENTS={16 if is_fd else 4}u",
+        f"-DSKIN_FRAME_BYTES={64 if is_fd else 8}",
+        f"-DVIRT_FD={int(is_fd)}",
+    ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         compiled = _Objects(folder, processor, pool)
         of_slave, of_common = compiled(slave, options), compiled(common, options)

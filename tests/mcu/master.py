@@ -13,7 +13,7 @@ from tests.mcu.machine import PATIENCE_S
 from tests.processes import Verb
 
 #: Attempts of what a busy machine may disturb: its emulated controllers overrun, and boards are late.
-ATTEMPTS: Final = 5
+ATTEMPTS: Final = 10
 
 
 class PowerCutError(Exception):

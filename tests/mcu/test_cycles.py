@@ -39,12 +39,12 @@ def test_stepped_boards_keep_the_contract_and_send_a_pressure(
     built: dict[str, Images], skin: Verb, tmp_path: Path
 ) -> None:
     with Machine(built["steps"], tmp_path) as machine:
-        patiently(skin, "node", "check", "--node", 1, *machine.on_bus)
         with machine.link() as link:
             gateway = PressedGateway(machine.images.contract, link)
             gateway.until(lambda: gateway.is_pressed, "the pressure")
             gateway.run(2.0)
         assert gateway.checked > 0
+        patiently(skin, "node", "check", "--node", 1, *machine.on_bus)
         check_sizes(machine, KINDS["steps"])
 
 
@@ -54,7 +54,7 @@ def test_a_lost_sync_makes_no_block_wrong(machine: Machine) -> None:
         gateway.run_until_whole()
         for lost in (1, 2, 5):
             machine.order(f"L{lost:02x}")
-            gateway.run(0.5)
+            gateway.run(0.3 * lost)
             gateway.run_until_whole()
 
 
