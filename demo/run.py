@@ -119,6 +119,8 @@ class Run:
         self.score = self._new_score()
         tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
         self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
+        if not self._is_alone:  # the page of many skins asks the gateways, for which it waits 30 s at most
+            self._start_viewer(["--connect", endpoint])
         return (yield from self._follow(stop, endpoint, tell))
 
     def _take_rate(self, rate_hz: float) -> None:
@@ -185,9 +187,12 @@ class Run:
             known = ["--model", str(options.model)]
         if options.classify:
             start("classifier", "classify", *common, *known, restart=True)
+        if self._is_alone:
+            self._start_viewer(common)
+
+    def _start_viewer(self, shown: list[str]) -> None:
         if self._port is not None:
-            shown = common if self._is_alone else ["--connect", endpoint]
-            start("viewer", "view", *shown, "--port", str(self._port), restart=True)
+            self._supervisor.start("viewer", "view", *shown, "--port", str(self._port), restart=True)
 
     def _await_services(self, stop: StopSignal) -> Generator[tuple[float, str]]:
         """Wait until every service is on the fabric."""

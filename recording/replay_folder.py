@@ -150,8 +150,11 @@ def replay_folder(folder: Path, out: Path, settings: Settings, jobs: int | str) 
     if not sources:
         raise InputError(f"{folder}: expected recordings of 'skin record' (*{RECORDING_SUFFIX}), found none")
     # Workers have folders of their own in which they started.
-    files = {name: path for name, path in vars(settings).items() if isinstance(path, Path) and file_of(path).is_file()}
-    settings = replace(settings, **{name: path.absolute() for name, path in files.items()})
+    layout, calibration, gains = (
+        path if path is None or not file_of(path).is_file() else path.absolute()
+        for path in (settings.layout, settings.calibration, settings.gains)
+    )
+    settings = replace(settings, layout=layout, calibration=calibration, gains=gains)
     with alone(out):
         manifest, digest = _manifest(out / MANIFEST), settings.digest()
         made = {name: each for name, each in manifest.items() if name in sources}

@@ -75,7 +75,8 @@ def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) 
     except ImportError as error:
         raise not_installed("--cluster needs distributed", "cluster") from error
     dask: Any = distributed  # its classes have no types
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it has tracebacks of its own for a lost scheduler
+    for name in ("client", "utils"):  # they log a lost scheduler with tracebacks
+        logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
     try:
         client = dask.Client(address, timeout=PATIENCE_S)
     except (OSError, ValueError) as error:

@@ -120,8 +120,12 @@ def test_of_several_skins_the_page_is_of_all_and_waits_for_their_gateways(
     assert (second.layout, second.view, second.picture) == ([Path("fd")], False, Path("run-fd.png"))
     run = Run(LAYOUT, first, tmp_path / "skin", is_alone=False)
     run._start_services("tcp/HUB:1")
+    assert "viewer" not in {*started, *run._missing().split(", ")}
+    monkeypatch.setattr(run, "_missing", str)
+    monkeypatch.setattr("demo.run.request_real_time", lambda *_: None)
+    next(run._try_rate(StopSignal(), "tcp/HUB:1", [].append))
+    assert [*started][-2:] == ["gateway", "viewer"]
     assert started["viewer"][:4] == ("view", "--connect", "tcp/HUB:1", "--port")
-    assert "viewer" not in run._missing()
     assert run._addresses("tcp/HUB:1")[1] == "to watch: skin monitor --connect tcp/HUB:1 --skin skin"
 
 
