@@ -70,13 +70,7 @@ def in_parallel(
 
 
 def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) -> Iterator[tuple[int, Result]]:
-    try:
-        import distributed
-    except ImportError as error:
-        raise not_installed("--cluster needs distributed", "cluster") from error
-    dask: Any = distributed  # its classes have no types
-    for name in ("client", "utils"):  # they log a lost scheduler with tracebacks
-        logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
+    dask = _dask()
     try:
         client = dask.Client(address, timeout=PATIENCE_S)
     except (OSError, ValueError) as error:
@@ -105,6 +99,17 @@ def _on_cluster(calls: Sequence[Call[Result]], address: str, ahead: int | None) 
             except CancelledError as error:
                 raise RunError(f"--cluster {address}: the scheduler is lost") from error
             begin(1)
+
+
+def _dask() -> Any:
+    """Return dask.distributed, whose classes have no types; a lost scheduler is logged without its tracebacks."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise not_installed("--cluster needs distributed", "cluster") from error
+    for name in ("client", "utils"):
+        logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
+    return distributed
 
 
 @contextlib.contextmanager
