@@ -21,7 +21,7 @@ Cluster = Annotated[
     str | None,
     Parameter(
         name="--cluster",
-        help="Address of a scheduler of dask.distributed, whose workers do the work; see docs/data.md.",
+        help="Address of a scheduler of dask.distributed, whose workers do the work; see docs/recording.md.",
     ),
 ]
 #: Longest wait for a scheduler.
