@@ -17,8 +17,8 @@ from skin.ranges import listed
 if TYPE_CHECKING:
     from bus.server import BusServer
 
-#: Longest wait of a service for a bus server that is still starting.
-OPEN_WAIT_S = 30.0
+#: Longest wait of a service for a bus server that is still starting, and may have its kernels to compile first.
+OPEN_WAIT_S = 60.0
 
 _Bus = TypeVar("_Bus")
 

@@ -8,7 +8,7 @@ from cyclopts import App, CycloptsError
 
 from bus import options
 from bus.interface import Controller, Interface, Mode, Timing
-from bus.options import BusOptions, channels, open_channels, open_links
+from bus.options import OPEN_WAIT_S, BusOptions, channels, open_channels, open_links
 from canskin.errors import InputError
 from skin.layout import Layout
 from tests.layouts import buses, small_layout
@@ -93,7 +93,7 @@ class Opened:
     rest: dict[str, Any]
 
 
-def test_wanted_buses_are_opened_on_their_channels_for_half_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wanted_buses_are_opened_on_their_channels_and_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(options, "open_link", lambda *place, **rest: Opened(*place, rest))
     layout = layout_of("left", "right")
     every: dict[int, Any] = open_links(layout, BusOptions("socketcan", ["can4"]), name="gateway")
@@ -107,7 +107,7 @@ def test_wanted_buses_are_opened_on_their_channels_for_half_a_minute(monkeypatch
         "data_bitrate": layout.bus[0].data_bitrate,
         "name": "gateway",
         "sends": True,
-        "wait_s": 30,
+        "wait_s": OPEN_WAIT_S,
         "stop": None,
         "options": {},
     }

@@ -15,7 +15,7 @@ from shell.pulse import Beat, unheard
 from shell.service import LOOK_S, StopSignal
 from skin.layout import Layout
 from views.ros2.node import SERVICE, RosNode
-from views.ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
+from views.ros2.topics import DIAGNOSTIC_ARRAY, SKIN_TOPICS, Translator, topics_of
 
 #: Period of diagnostics, that of `diagnostic_updater`.
 DIAGNOSTICS_S: Final = 1.0
@@ -46,7 +46,7 @@ class Bridge:
     ) -> None:
         self._state = ViewState(layout, time.time() - clock_s(), SERVICE)
         self._translator = Translator(layout, frame, self._state)
-        self._publishers = {topic: node.publisher(topic) for topic in ROS_TOPICS}
+        self._publishers = {topic: node.publisher(topic) for topic in topics_of(layout)}
         self._due_s = clock_s()
         node.serve_trigger(TARE, partial(tare, fabric))
         self._feed = Feed(fabric, SKIN_TOPICS, self._publish, self._state.take_peer, newest=True, clock_s=clock_s)

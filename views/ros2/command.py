@@ -12,7 +12,7 @@ from skin.layout import require_boards
 from views.ros2.bridge import TARE, Bridge
 from views.ros2.names import check_domain, check_namespace
 from views.ros2.node import SERVICE, RosNode
-from views.ros2.topics import ROS_TOPICS
+from views.ros2.topics import topics_of
 from views.ros2.types import store
 
 #: Of ROS on this machine, as `rmw_zenohd` listens.
@@ -31,7 +31,7 @@ def ros2(
     """Publish a running skin on ROS 2, in the form of rmw_zenoh; neither ROS nor a bridge is needed here.
 
     Topics: ``image`` (32FC1, newtons), ``heat_map`` (rgb8), ``points``, ``contacts``, ``contact_markers``, ``label``,
-    ``key`` (cycles of images and labels) and ``/diagnostics``; service: ``tare``.
+    ``wrench``, ``key`` (cycles of images and labels) and ``/diagnostics``; service: ``tare``.
 
     Parameters
     ----------
@@ -69,6 +69,6 @@ def ros2(
         node = RosNode(router, domain=number, namespace=space, name="canskin", stop=stop, has_hashes=distro != "humble")
         with closing(node):
             bridge = Bridge(skin, fabric, node, frame or skin.name)
-            names = ", ".join(node.node.full_name(topic.name) for topic in ROS_TOPICS)
+            names = ", ".join(node.node.full_name(topic.name) for topic in topics_of(skin))
             say(SERVICE, f"domain {number}: {names}; service {node.node.full_name(TARE)}")
             bridge.run(stop, pulse.beat)

@@ -11,7 +11,7 @@ from health.state import FRESH_S
 from skin.layout import Taxels
 from skin.surface import Surface
 from skin.taxel_places import Forces, contact_place_m, force_colours, radius_m, taxel_points, turned_to
-from views.ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, message
+from views.ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, WRENCH, message
 
 NS: Final = 1_000_000_000
 #: `sensor_msgs/msg/PointField`: the number of a type.
@@ -81,6 +81,19 @@ def contact_markers(head: Any, taxels: Taxels, contacts: Sequence[Contact]) -> A
         words = f"{1e3 * each.force_n:.1f} mN{'?' * each.doubtful}"
         made.append(_marker(head, "forces", number, kind=9, place=above, size=height, text=words))
     return message(MARKERS, markers=made)
+
+
+def wrench(head: Any, surface: Surface, forces_n: Forces, taxels: npt.NDArray[np.bool_]) -> Any:
+    """Return force (N) against the normals, and torque (Nm) about the frame's origin, of some taxels, shape (n,)."""
+    pushes_n = -forces_n.ravel()[taxels, None] * surface.normals[taxels]
+    torques_nm = np.cross(surface.positions_m[taxels], pushes_n)
+    force, torque = (
+        message(
+            "geometry_msgs/msg/Vector3", **dict(zip("xyz", each.sum(axis=0, dtype=np.float64).tolist(), strict=True))
+        )
+        for each in (pushes_n, torques_nm)
+    )
+    return message(WRENCH, header=head, wrench=message("geometry_msgs/msg/Wrench", force=force, torque=torque))
 
 
 def text(words: str) -> Any:

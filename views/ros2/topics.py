@@ -5,17 +5,19 @@ from functools import cache, partial
 from typing import Any, Final, NamedTuple
 
 import msgspec
+import numpy as np
 
 from canskin.messages import CONTACTS, GATEWAY, LABEL, Contacts, Image, Label
 from canskin.messages import IMAGE as SKIN_IMAGE
 from health.state import ViewState
 from skin.layout import Layout
+from skin.regions import regions_of
 from skin.taxel_places import Grid
 from skin.wall_times import CLOCKS, Clocks, WallTimes
 from views.ros2 import content
 from views.ros2.diagnostics import diagnostics, key
 from views.ros2.names import RELIABLE, SENSOR_DATA, Qos
-from views.ros2.types import DIAGNOSTICS, IMAGE, MARKERS, POINT_CLOUD, TEXT
+from views.ros2.types import DIAGNOSTICS, IMAGE, MARKERS, POINT_CLOUD, TEXT, WRENCH
 
 
 class RosTopic(NamedTuple):
@@ -32,13 +34,20 @@ TAXEL_CLOUD: Final = RosTopic("points", POINT_CLOUD)
 CONTACT_CLOUD: Final = RosTopic("contacts", POINT_CLOUD)
 CONTACT_MARKERS: Final = RosTopic("contact_markers", MARKERS)
 LABEL_TEXT: Final = RosTopic("label", TEXT)
+#: Of the whole skin.
+SKIN_WRENCH: Final = RosTopic("wrench", WRENCH)
 #: Cycle of each image and label, with the sampling instant as stamp: images and texts have no place for them.
 KEY: Final = RosTopic("key", DIAGNOSTICS)
 DIAGNOSTIC_ARRAY: Final = RosTopic("/diagnostics", DIAGNOSTICS, RELIABLE)
 ROS_TOPICS: Final = (
-    *(FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD),
+    *(FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, SKIN_WRENCH),
     *(CONTACT_CLOUD, CONTACT_MARKERS, LABEL_TEXT, KEY, DIAGNOSTIC_ARRAY),
 )
+
+
+def topics_of(layout: Layout) -> tuple[RosTopic, ...]:
+    """Return the topics of a skin: `ROS_TOPICS`, and a wrench of each region but the whole skin."""
+    return (*ROS_TOPICS, *(RosTopic(f"wrench/{each.name}", WRENCH) for each in regions_of(layout)[1:]))
 
 
 #: What a `Translator` takes.
@@ -72,6 +81,13 @@ class Translator:
     ) -> None:
         self._layout, self._frame, self._state = layout, frame, state
         self._grid, self._wall = Grid(layout), wall or WallTimes()
+        phi, is_used = layout.phi(), ~layout.taxels.is_masked
+        wrenches = (SKIN_WRENCH, *topics_of(layout)[len(ROS_TOPICS) :])
+        #: Topic, taxels and blocks of each region.
+        self._regions = [
+            (topic, taxels := each.taxels & is_used & phi.is_wired, np.unique(phi.block_of_taxel[taxels]))
+            for topic, each in zip(wrenches, regions_of(layout), strict=True)
+        ]
         self._drafts: Mapping[type, Callable[[Any], Iterator[Draft]]] = {
             Image: self._image,
             Contacts: self._contacts,
@@ -104,6 +120,10 @@ class Translator:
             yield FORCE_IMAGE, lambda: content.force_image(head, measured_n())
             yield HEAT_MAP, lambda: content.heat_map(head, measured_n(), taxels.force_max_n)
         yield TAXEL_CLOUD, lambda: content.taxel_cloud(head, taxels.surface, grid.forces_n(image), grid.valid(image))
+        valid = np.frombuffer(image.valid, np.bool_)
+        for topic, region, blocks in self._regions:
+            if blocks.size and valid[blocks].all():  # a part of a force would be taken for the whole
+                yield topic, partial(content.wrench, head, taxels.surface, grid.forces_n(image), region)
         yield KEY, lambda: key(head, self._layout.name, "image", {"cycle": image.cycle})
 
     def _contacts(self, contacts: Contacts) -> Iterator[Draft]:

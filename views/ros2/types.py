@@ -14,6 +14,7 @@ POINT_CLOUD: Final = "sensor_msgs/msg/PointCloud2"
 MARKERS: Final = "visualization_msgs/msg/MarkerArray"
 DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 TEXT: Final = "std_msgs/msg/String"
+WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
 TRIGGER: Final = "std_srvs/srv/Trigger"
 TRIGGER_REPLY: Final = "std_srvs/srv/Trigger_Response"
 

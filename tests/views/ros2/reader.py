@@ -25,6 +25,7 @@ TYPE_HASHES = {
     "visualization_msgs/msg/MarkerArray": "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf",
     "diagnostic_msgs/msg/DiagnosticArray": "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
     "std_msgs/msg/String": "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    "geometry_msgs/msg/WrenchStamped": "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
     "std_srvs/srv/Trigger": "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
 }
 
@@ -94,6 +95,8 @@ DiagnosticStatus = _struct(
     "DiagnosticStatus", level=uint8, name=str, message=str, hardware_id=str, values=sequence[KeyValue]
 )
 DiagnosticArray = _struct("DiagnosticArray", header=Header, status=sequence[DiagnosticStatus])
+Wrench = _struct("Wrench", force=Point, torque=Point)
+WrenchStamped = _struct("WrenchStamped", header=Header, wrench=Wrench)
 String = _struct("String", data=str)
 TriggerReply = _struct("TriggerReply", success=bool, message=str)
 

@@ -36,6 +36,7 @@ from tests.views.ros2.reader import (
     String,
     Topic,
     TriggerReply,
+    WrenchStamped,
     key,
     publish,
     time_ns,
@@ -192,6 +193,19 @@ def test_label_is_a_text_and_empty_without_contact(setup: Setup) -> None:
     setup.publish(LABEL, setup.messages.label("ring", valid_sums=0))  # void
     setup.publish(LABEL, setup.messages.label(""))
     assert labels.next()[0].data == ""
+
+
+def test_wrench_is_of_the_whole_skin_about_its_origin_and_comes_only_whole(setup: Setup) -> None:
+    wrenches = setup.topic("wrench", "geometry_msgs/msg/WrenchStamped", WrenchStamped)
+    pixels = np.zeros((16, 16), np.float32)
+    pixels[2, 5] = 0.25
+    setup.publish(IMAGE, setup.messages.image(pixels=np.ones((16, 16), np.float32), invalid=(3,)))
+    setup.publish(IMAGE, setup.messages.image(pixels=pixels))
+    got, pitch_m = wrenches.next()[0], setup.messages.layout.taxels.pitch_m
+    force, torque = got.wrench.force, got.wrench.torque
+    assert got.header.frame_id == "palm_link"
+    assert (force.x, force.y, force.z) == (0, 0, 0.25)  # z is into the skin
+    assert (torque.x, torque.y, torque.z) == pytest.approx(((2 - 7.5) * pitch_m / 4, -(5 - 7.5) * pitch_m / 4, 0))
 
 
 def test_diagnostics_name_what_is_wrong(hub: Fabric, endpoint: str, messages: Messages) -> None:
@@ -352,4 +366,4 @@ def test_no_image_goes_out_before_the_clocks_of_the_gateway_are_known(messages: 
         len(list(translator.take(each, 0.0)))
         for each in (messages.image(), messages.contacts(), clocks, messages.image())
     ]
-    assert drafts == [0, 0, 0, 4]
+    assert drafts == [0, 0, 0, 5]

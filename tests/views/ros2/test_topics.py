@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from health.state import ViewState
+from skin.layout import Region, changed
 from skin.taxel_places import Grid
 from skin.wall_times import WallTimes
 from tests import messages as make
@@ -14,7 +15,7 @@ from tests.health.helpers import Messages
 from tests.layouts import tube_layout
 from views.ros2.content import contact_cloud, contact_markers, header
 from views.ros2.diagnostics import diagnostics
-from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, KEY, LABEL_TEXT, TAXEL_CLOUD, Translator
+from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, KEY, LABEL_TEXT, SKIN_WRENCH, TAXEL_CLOUD, Translator, topics_of
 
 
 def test_an_image_without_readers_is_not_computed(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -23,7 +24,7 @@ def test_an_image_without_readers_is_not_computed(messages: Messages, monkeypatc
     monkeypatch.setattr(Grid, "measured_n", lambda *args: made.append(1) or measured_n(*args))
     translator = Translator(messages.layout, "palm", ViewState(messages.layout), wall=WallTimes(10**18))
     drafts = dict(translator.take(messages.image(1), 0.0))
-    assert list(drafts) == [FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, KEY]
+    assert list(drafts) == [FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, SKIN_WRENCH, KEY]
     assert made == []
     drafts[FORCE_IMAGE]()
     drafts[HEAT_MAP]()
@@ -43,12 +44,23 @@ def test_a_label_has_a_stamp_and_its_cycle_beside_the_text(messages: Messages) -
     assert list(dict(unknown.take(label, 0.0))) == [LABEL_TEXT]  # no clock yet
 
 
+def test_regions_have_wrenches_of_their_own_while_their_blocks_are_valid(messages: Messages) -> None:
+    layout = changed(messages.layout, region=[Region(name="tip", box=(0, 0, 0, 0)), Region(name="all")])
+    (tip,) = (each for each in topics_of(layout) if each.name == "wrench/tip")
+    translator = Translator(layout, "palm", ViewState(layout), wall=WallTimes(10**18))
+    of_tip = int(layout.phi().block_of_taxel[0])
+    pixels = np.full((16, 16), 0.5, np.float32)
+    for cycle, invalid, expected in ((1, of_tip, {}), (2, (of_tip + 1) % 8, {tip: 0.5})):
+        drafts = dict(translator.take(messages.image(cycle, pixels=pixels, invalid=(invalid,)), 0.0))
+        assert {each: drafts[each]().wrench.force.z for each in (tip, SKIN_WRENCH) if each in drafts} == expected
+
+
 def test_a_skin_that_is_no_grid_is_points_without_images() -> None:
     messages = Messages(tube_layout())
     surface = messages.layout.taxels.surface
     translator = Translator(messages.layout, "tube", ViewState(messages.layout), wall=WallTimes(10**18))
     drafts = dict(translator.take(messages.image(1), 0.0))
-    assert list(drafts) == [TAXEL_CLOUD, KEY]
+    assert list(drafts) == [TAXEL_CLOUD, SKIN_WRENCH, KEY]
     cloud = drafts[TAXEL_CLOUD]()
     assert (cloud.height, cloud.width) == (1, 96)
     offsets = {each.name: each.offset // 4 for each in cloud.fields}
