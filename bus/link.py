@@ -96,9 +96,7 @@ def check_channels(interface: str, names: Sequence[str]) -> None:
             wanted = f"expected an interface's name of 1 to {NAME_MAX} bytes without space, '/' and ':'"
             raise InputError(f"{wanted}, such as can0, got {name!r}")
     if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(
-            f"expected each channel once, got {twice[0]} for {names.count(twice[0])} buses: name one for each, as with --channel"
-        )
+        raise InputError(f"expected each channel once, got {twice[0]} for {names.count(twice[0])} buses: see --channel")
 
 
 def open_link(
