@@ -179,8 +179,8 @@ ELSEWHERE = {
     ),
     "files of this program, or of its package": (
         "classifier/cache.py", "dbc/generate.py", "deploy/configuration.py", "hub/authority.py", "hub/holders.py",
-        "nodes/firmware/export.py", "nodes/firmware/flash.py", "shell/command.py", "shell/compiled.py",
-        "views/ros2/names.py",
+        "nodes/firmware/export.py", "nodes/firmware/flash.py", "recording/replay_folder.py", "shell/command.py",
+        "shell/compiled.py", "views/ros2/names.py",
     ),
     "the kernel's": (
         "bus/interface.py", "client/canskin/skin_clock.py", "health/host_time.py", "shell/pulse.py",

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from canskin.description import Description
 from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, Contact, Contacts, EndedContact, Image, Label, Measurement
-from canskin.skin_clock import SkinClock
+from canskin.skin_clock import SkinClock, machine
 from canskin.sums import corrected_counts, doubtful_taxels
 
 #: Measurements, contacts and labels that wait for the image of their cycle.
@@ -79,7 +79,7 @@ class Frame:
     sampled_mono_ns: int
     sampled_error_s: float
     _skin: Description = field(repr=False)
-    _clock: SkinClock = field(repr=False)
+    _clock: SkinClock = field(default_factory=lambda: SkinClock(machine()), repr=False)
 
     @property
     def image(self) -> npt.NDArray[np.float32]:

@@ -11,6 +11,7 @@ import msgspec
 from canskin.errors import SkinError
 from canskin.messages import UNKNOWN_ERROR_NS
 from canskin.question import Question
+from canskin.text import Told
 
 #: Linux: a random number of each boot, and the number of the clocks that a process sees (time_namespaces(7)).
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -28,7 +29,7 @@ class TimeRequest(msgspec.Struct, frozen=True):
     """Asks for the time."""
 
 
-class TimeReply(msgspec.Struct, frozen=True):
+class TimeReply(Told, frozen=True):
     """The time of a gateway.
 
     Attributes

@@ -224,15 +224,15 @@ def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
         (["calibration", "show", "--force-n", "1"], "--force-n, --before and --out are for 'skin calibration gain'"),
         (["calibration", "gain", "run.mcap", "--force-n", "1"], "expected a file for the gains: --out FILE"),
         (
-            ["calibration", "gain", "run.log", "--out", "/dev/null"],
+            ["calibration", "gain", "run.log", "--out", "gains.json"],
             "run.log: expected a recording (.mcap)",
         ),
         (
-            ["calibration", "gain", "run.mcap", "--layout=default", "--out", "/dev/null"],
+            ["calibration", "gain", "run.mcap", "--layout=default", "--out", "gains.json"],
             "expected the force of the weight",
         ),
         (
-            ["calibration", "gain", "none.csv", "--out", "/dev/null"],
+            ["calibration", "gain", "none.csv", "--out", "gains.json"],
             "none.csv: cannot read a table of gains",
         ),
     ],

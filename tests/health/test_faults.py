@@ -20,6 +20,7 @@ ELSEWHERE = {
     "start": ("starting", "node-starting", "no-image", "service-absent", "node-away"),
     "calibration and forces": ("no-zero", "defect", "doubtful-force", "threshold", "node-frozen"),
     "others": ("recording-ended", "misfits"),
+    "services of other machines": ("clock-unsure",),
 }
 #: Draws of overlapping faults, for example 1000.
 DRAWS = int(os.environ.get("SKIN_FAULTS", "4"))

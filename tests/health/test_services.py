@@ -2,6 +2,7 @@
 
 import pytest
 
+from canskin.messages import UNKNOWN_ERROR_NS
 from canskin.peers import Peer
 from health.notices import STARTED_S
 from health.services import LOSS_S, PEERS, TOLD_S
@@ -36,6 +37,18 @@ def test_a_service_that_loses_messages_is_named_while_it_does() -> None:
         assert [(each.subject, each.since_time_s) for each in named] == [("reconstructor", 102.0)] * (second >= 2)
     assert "9 messages" in named[0].text
     assert "service-drops" not in {each.code for each in seen_of(state, 3.0 + LOSS_S).notices}
+
+
+def test_a_clock_of_another_machine_that_is_known_badly_is_named() -> None:
+    state = ViewState(Messages().layout)
+    note(state, "reconstructor", True, 0.0)
+    for second, error_ns, codes in ((1, UNKNOWN_ERROR_NS, []), (2, 4_000_000, []), (3, 6_000_000, ["clock-unsure"])):
+        status = service_status(second, clock_offset_ns=10**12, clock_error_ns=error_ns)
+        state.take(status, float(second))
+        seen = seen_of(state, float(second))
+        assert [each.code for each in seen.notices if each.code == "clock-unsure"] == codes
+    service = seen.services["reconstructor"]
+    assert (service.clock_offset_s, service.clock_error_s) == (pytest.approx(1e3), 0.006)
 
 
 def test_a_clock_that_is_set_back_and_strangers_do_no_harm() -> None:

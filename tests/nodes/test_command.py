@@ -114,7 +114,10 @@ def test_simulated_touch_gets_noise_and_a_recording_none(parts: Parts, tmp_path:
         ({"noise_n": float("inf")}, "--noise-n: expected 0 or more, got inf"),
         ({"touch": TouchOptions(rate=50.0)}, "--rate is for a recording"),
         ({"touch": TouchOptions(input=Path("mat.npz")), "rest": 1.0}, "--rest is for objects"),
-        ({"touch": TouchOptions(input=Path("mat.npz"), stroke="press")}, "--stroke is for objects"),
+        (
+            {"touch": TouchOptions(input=Path("mat.npz"), stroke="press")},
+            "--objects and --stroke are for the simulator",
+        ),
         ({"touch": TouchOptions(defect=["mismatch=0.1"])}, "mismatch"),  # of boards that make sums in hardware
         ({"store": Path("/proc/none")}, "--store /proc/none: expected a folder that can be written"),
     ],

@@ -1,3 +1,4 @@
+import math
 from pathlib import Path
 
 import numpy as np
@@ -151,7 +152,9 @@ def test_counts_are_the_nearest_within_the_range() -> None:
 def test_wrong_numbers_are_refused() -> None:
     for name, kind in KINDS.items():
         for value in (-0.1, 1.1, float("nan")) if kind.most == 1 else (-0.1, float("inf")):
-            with pytest.raises(InputError, match="number from 0 to 1" if kind.most == 1 else "0 or more"):
+            with pytest.raises(
+                InputError, match=f"number from 0 to {kind.most:g}" if kind.most < math.inf else "0 or more"
+            ):
                 Defect(name, value)
     with pytest.raises(InputError, match="noise_n"):
         sense(np.zeros(3), rng(), noise_n=-1.0)

@@ -142,5 +142,6 @@ def clocked(monkeypatch: pytest.MonkeyPatch) -> ClockedSkin:
     skin = ClockedSkin()
     clock = SimpleNamespace(monotonic_ns=lambda: skin.now_ns, time=lambda: skin.now_ns * 1e-9)
     monkeypatch.setattr("canskin.frame.time", clock)
+    monkeypatch.setattr("canskin.skin_clock.time", clock)
     monkeypatch.setattr(canskin, "connect", lambda *_where, **_how: skin)
     return skin

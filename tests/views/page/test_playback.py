@@ -193,5 +193,5 @@ def test_a_recording_without_images_is_replayed_first(
         folder.mkdir()
         with pytest.raises(kind, match="no images can be made of it"):
             command._open(bare, SkinOptions(), folder)
-    with pytest.raises(InputError, match="no file"):
+    with pytest.raises(InputError, match="No such file"):
         command._open(tmp_path / "none.mcap", SkinOptions(), tmp_path)
