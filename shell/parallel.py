@@ -27,7 +27,7 @@ Cluster = Annotated[
     ),
 ]
 #: Longest wait for a scheduler.
-PATIENCE_S: Final = 10.0
+PATIENCE_S: Final = 30.0
 
 
 def in_parallel(
