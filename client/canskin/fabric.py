@@ -563,7 +563,8 @@ class Fabric:
                 with suppress(zenoh.ZError):  # the connection is closed now
                     clock.look(ask)
 
-        clock.look(ask)
+        if clock.known()[1] != 0:  # not this machine, or unknown
+            clock.look(ask)
         threading.Thread(target=follow, name="clock").start()
         return clock
 
